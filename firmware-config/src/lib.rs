@@ -1,0 +1,152 @@
+//! What the box ships: every tunable constant with unit, range, default and paper symbol, in one place.
+
+pub mod capture;
+pub mod estimator;
+pub mod fusion;
+mod settings;
+
+pub use capture::{CaptureConfig, ResponseChoice};
+pub use estimator::{EstimatorConfig, ExposureChoice, SolverChoice, Switch, TransferChoice};
+pub use fusion::FusionConfig;
+pub use settings::{ConfigError, SettingInfo};
+
+/// Every setting.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Config {
+    /// Sources, pairing, device folder.
+    pub capture: CaptureConfig,
+    /// Tracking, TSDF and keyframes.
+    pub fusion: FusionConfig,
+    /// The estimator.
+    pub estimator: EstimatorConfig,
+}
+
+impl Config {
+    /// Defaults overlaid with the settings of a TOML document (one table a section).
+    ///
+    /// # Errors
+    /// Syntax errors, unknown keys and values out of range.
+    pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
+        let mut config = Self::default();
+        let table: toml::Table = text.parse().map_err(|e: toml::de::Error| ConfigError::Syntax(e.to_string()))?;
+        for (section, value) in &table {
+            let toml::Value::Table(fields) = value else {
+                return Err(config.unknown(section));
+            };
+            for (field, value) in fields {
+                config.set_value(section, field, value)?;
+            }
+        }
+        Ok(config)
+    }
+
+    /// Sets one value from `section.field=value` as given on the command line.
+    ///
+    /// # Errors
+    /// A missing `=`, an unknown key, or a value out of range.
+    pub fn set(&mut self, assignment: &str) -> Result<(), ConfigError> {
+        let Some((key, text)) = assignment.split_once('=') else {
+            return Err(ConfigError::Syntax(format!("`{assignment}` is not of the form section.key=value")));
+        };
+        let (key, text) = (key.trim(), text.trim());
+        let Some((section, field)) = key.split_once('.') else {
+            return Err(self.unknown(key));
+        };
+        // A bare word is a string, everything else is read as TOML.
+        let value = format!("v = {text}")
+            .parse::<toml::Table>()
+            .ok()
+            .and_then(|mut t| t.remove("v"))
+            .unwrap_or_else(|| toml::Value::String(text.to_owned()));
+        self.set_value(section, field, &value)
+    }
+
+    fn set_value(&mut self, section: &str, field: &str, value: &toml::Value) -> Result<(), ConfigError> {
+        let outcome = match section {
+            CaptureConfig::SECTION => self.capture.set(field, value),
+            FusionConfig::SECTION => self.fusion.set(field, value),
+            EstimatorConfig::SECTION => self.estimator.set(field, value),
+            _ => None,
+        };
+        outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
+    }
+
+    /// Every setting, in order.
+    #[must_use]
+    pub fn settings(&self) -> Vec<SettingInfo> {
+        [self.capture.settings(), self.fusion.settings(), self.estimator.settings()].concat()
+    }
+
+    /// The whole configuration as TOML that [`Config::from_toml`] reads back.
+    #[must_use]
+    pub fn to_toml(&self) -> String {
+        let mut text = String::new();
+        let mut section = "";
+        let settings = self.settings();
+        for s in &settings {
+            let (head, field) = s.key.split_once('.').unwrap_or(("", &s.key));
+            if head != section {
+                section = head;
+                text.push_str(&format!("{}[{head}]\n", if text.is_empty() { "" } else { "\n" }));
+            }
+            text.push_str(&format!("{field} = {}\n", s.value));
+        }
+        text
+    }
+
+    fn unknown(&self, key: &str) -> ConfigError {
+        let field = key.rsplit('.').next().unwrap_or(key);
+        let hint = self
+            .settings()
+            .iter()
+            .map(|s| (distance(field, s.key.rsplit('.').next().unwrap_or("")), s.key.clone()))
+            .min()
+            .filter(|(d, _)| *d <= 3)
+            .map_or(String::new(), |(_, k)| format!(" (did you mean `{k}`?)"));
+        ConfigError::UnknownKey { key: key.into(), hint }
+    }
+}
+
+/// Levenshtein distance in bytes.
+fn distance(a: &str, b: &str) -> usize {
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, x) in a.bytes().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, y) in b.bytes().enumerate() {
+            let substitute = diagonal + usize::from(x != y);
+            diagonal = row[j + 1];
+            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn toml_round_trip() {
+        let mut config = Config::default();
+        config.set("fusion.voxel_size_m=0.01").unwrap();
+        config.set("estimator.transfer=shade").unwrap();
+        assert_eq!(Config::from_toml(&config.to_toml()), Ok(config));
+    }
+
+    #[test]
+    fn unknown_key_is_named_with_a_hint() {
+        let e = Config::default().set("fusion.voxel_sise_m=0.01").unwrap_err();
+        assert!(e.to_string().contains("fusion.voxel_size_m"), "{e}");
+        assert!(Config::from_toml("[nonsense]\nx = 1").is_err());
+        assert!(Config::from_toml("x = 1").is_err());
+    }
+
+    #[test]
+    fn out_of_range_names_the_range() {
+        let e = Config::default().set("fusion.voxel_size_m=7").unwrap_err();
+        assert!(e.to_string().contains("0.001"), "{e}");
+        assert!(Config::default().set("fusion.voxel_size_m=nan").is_err());
+        assert!(Config::default().set("fusion.pool_blocks=-1").is_err());
+    }
+}

@@ -1,0 +1,12 @@
+//! Everything Lumiscan writes to disk: the chunk container, RGB-D recordings (`.lrec`), scans (`.lscan`), results
+//! (`.lres`), the types in them, and the importers.
+
+pub mod error;
+pub mod photos;
+pub mod recording;
+pub mod result;
+pub mod scan;
+pub mod tum;
+pub mod types;
+
+pub use error::{Error, Result};
