@@ -1,5 +1,22 @@
 //! From a scan to light and materials (§3.1 second half – §3.4).
 
+pub mod albedo;
+pub mod association;
+pub mod export;
+pub mod exposure;
+pub mod inverse;
+pub mod plan;
+pub mod pose;
+pub mod preview;
+pub mod remesh;
+pub mod scene;
+pub mod segmentation;
+pub mod sh;
+pub mod specular;
+pub mod thickness;
+pub mod transfer;
+pub mod witness;
+
 use firmware_config::EstimatorConfig;
 use recordings::result::Estimate;
 use recordings::scan::Scan;

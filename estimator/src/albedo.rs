@@ -1,0 +1,1 @@
+//! Albedo in detail.

@@ -1,0 +1,1 @@
+//! Data association: lit colours from posed keyframes (Eqs. 2–4).

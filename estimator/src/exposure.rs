@@ -1,0 +1,1 @@
+//! Exposure per keyframe (Eq. 5).

@@ -1,0 +1,1 @@
+//! Light and segment albedo from lit colours (Eqs. 9–12).

@@ -1,0 +1,1 @@
+//! Pose refinement by Lucas–Kanade against the re-rendered keyframe.

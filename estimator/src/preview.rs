@@ -1,0 +1,1 @@
+//! The picture a person looks at first.

@@ -1,0 +1,1 @@
+//! Segmentation into materials (Eqs. 6–7).

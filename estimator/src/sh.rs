@@ -1,0 +1,1 @@
+//! Real orthonormal spherical harmonics.

@@ -1,0 +1,1 @@
+//! Specular weights per segment (Eq. 13).

@@ -1,0 +1,1 @@
+//! Shape diameter (the sdf of Eq. 6).

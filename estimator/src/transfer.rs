@@ -1,0 +1,1 @@
+//! Radiance transfer (Eq. 8).

@@ -1,0 +1,1 @@
+//! How well frames that no step used are predicted.
