@@ -1,7 +1,10 @@
 //! Everything Lumiscan writes to disk: the chunk container, RGB-D recordings (`.lrec`), scans (`.lscan`), results
 //! (`.lres`), the types in them, and the importers.
 
+mod camera;
+mod decode;
 pub mod error;
+mod lists;
 pub mod photos;
 pub mod recording;
 pub mod result;
@@ -10,3 +13,7 @@ pub mod tum;
 pub mod types;
 
 pub use error::{Error, Result};
+pub use lists::{format_seconds, parse_seconds};
+
+#[cfg(test)]
+mod testing;

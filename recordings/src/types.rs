@@ -277,13 +277,3 @@ pub struct Keyframe {
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 #[repr(C)]
 pub struct RawVec3(pub [f32; 3]);
-
-impl ColorFrame {
-    /// Decodes to RGB (Bayer is demosaiced bilinearly).
-    ///
-    /// # Errors
-    /// A description of what is wrong with the bytes (truncated, wrong size, not a picture).
-    pub fn decode(&self) -> Result<RgbImage, String> {
-        unimplemented!()
-    }
-}
