@@ -1,1 +1,243 @@
-//! Segmentation into materials (Eqs. 6–7).
+//! Segmentation into materials (Eqs. 6–7): DBSCAN over mesh neighbourhoods, then neighbouring regions without a border
+//! of colour between them are joined.
+
+use crate::graph::Graph;
+use crate::regions;
+use crate::scene::Scene;
+use crate::thickness;
+use firmware_config::EstimatorConfig;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::types::Mesh;
+
+/// Lightness against chromaticity in the colour distance: shading changes the one far more than the other.
+const LIGHTNESS_SHARE: f32 = 0.25;
+/// Concavity of a smooth surface, in radians: below it the robust scale of Eq. (6) does not fall.
+const LEAST_CONCAVITY: f32 = 0.05;
+/// The same for colour differences (CIELAB).
+const LEAST_COLOR: f32 = 0.25;
+/// The same for relative differences of the shape diameter.
+const LEAST_THICKNESS: f32 = 0.05;
+/// Vertex without a segment.
+pub const NONE: u32 = u32::MAX;
+
+/// Segment of every vertex, numbered from 0 in order of their first vertex. `lit_color` may be any linear colour per
+/// vertex; vertices of weight 0 take the segment of the nearest vertex of their component that has one.
+#[must_use]
+pub fn segment(
+    mesh: &Mesh,
+    scene: &Scene,
+    lit_color: &[Vec3],
+    lit_weight: &[f32],
+    config: &EstimatorConfig,
+) -> Vec<u32> {
+    let graph = Graph::new(mesh);
+    let seen: Vec<bool> = lit_weight.iter().zip(lit_color).map(|(&w, c)| w > 0.0 && c.is_finite()).collect();
+    let features = median_filtered(&graph, &features(lit_color, &seen), &seen);
+    let thickness = if config.segment_thickness > 0.0 {
+        thickness::shape_diameter(mesh, scene, config.seed)
+    } else {
+        vec![None; mesh.positions.len()]
+    };
+    let edges = Edges::new(mesh, &graph, &features, &thickness, &seen, config);
+    let mut labels = dbscan(&graph, &edges, &seen, config.segment_min_points as usize);
+    let least = (config.segment_min_share * mesh.positions.len() as f64).ceil().max(8.0) as u32;
+    regions::drop_crumbs(&mut labels, least);
+    regions::grow(&graph, &edges.distance, &seen, &mut labels);
+    regions::merge(mesh, &graph, &features, &edges.concavity, config.segment_merge as f32, least, &mut labels);
+    regions::spread(&graph, &mut labels);
+    regions::renumber(&mut labels);
+    labels
+}
+
+/// (lightness, a, b): CIELAB with a and b taken at one lightness, so that shading moves only the first.
+fn features(color: &[Vec3], seen: &[bool]) -> Vec<Vec3> {
+    let mut luminances: Vec<f32> =
+        color.iter().zip(seen).filter(|(_, s)| **s).map(|(c, _)| luminance(*c)).filter(|&y| y > 0.0).collect();
+    if luminances.is_empty() {
+        return vec![Vec3::ZERO; color.len()];
+    }
+    let middle = luminances.len() / 2;
+    let typical = *luminances.select_nth_unstable_by(middle, f32::total_cmp).1;
+    color
+        .iter()
+        .map(|&c| {
+            let c = c.max(Vec3::ZERO) / typical;
+            // Very dark colours have no chromaticity worth the name: they are drawn towards grey.
+            let y = luminance(c);
+            let level = 0.4 / (y + 0.02);
+            let grey = Vec3::splat((0.4 - y * level).max(0.0));
+            let lab = lab(c * level + grey);
+            Vec3::new(LIGHTNESS_SHARE * lightness(0.2 * y), lab.y, lab.z)
+        })
+        .collect()
+}
+
+fn luminance(c: Vec3) -> f32 {
+    c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+}
+
+fn lightness(y: f32) -> f32 {
+    116.0 * lab_curve(y) - 16.0
+}
+
+fn lab_curve(t: f32) -> f32 {
+    if t > 0.008_856 { libm::cbrtf(t) } else { 7.787 * t + 16.0 / 116.0 }
+}
+
+/// CIELAB (D65) of linear Rec. 709.
+fn lab(c: Vec3) -> Vec3 {
+    let x = c.dot(Vec3::new(0.4124, 0.3576, 0.1805)) / 0.9505;
+    let y = luminance(c);
+    let z = c.dot(Vec3::new(0.0193, 0.1192, 0.9505)) / 1.089;
+    let (fx, fy, fz) = (lab_curve(x), lab_curve(y), lab_curve(z));
+    Vec3::new(116.0 * fy - 16.0, 500.0 * (fx - fy), 200.0 * (fy - fz))
+}
+
+/// Median over each vertex and its neighbours: takes noise, keeps borders.
+fn median_filtered(graph: &Graph, features: &[Vec3], seen: &[bool]) -> Vec<Vec3> {
+    (0..graph.len())
+        .into_par_iter()
+        .map(|i| {
+            if !seen[i] {
+                return features[i];
+            }
+            let mut row: Vec<Vec3> = vec![features[i]];
+            row.extend(graph.neighbours(i).iter().filter(|&&j| seen[j as usize]).map(|&j| features[j as usize]));
+            Vec3::from_array(std::array::from_fn(|c| {
+                let middle = row.len() / 2;
+                row.select_nth_unstable_by(middle, |a, b| a[c].total_cmp(&b[c])).1[c]
+            }))
+        })
+        .collect()
+}
+
+/// Distances along the graph's edges, in the order of its targets.
+struct Edges {
+    /// Eq. (6); infinite towards vertices that nobody saw.
+    distance: Vec<f32>,
+    /// Eq. (7), made symmetric, in radians.
+    concavity: Vec<f32>,
+}
+
+impl Edges {
+    fn new(
+        mesh: &Mesh,
+        graph: &Graph,
+        features: &[Vec3],
+        thickness: &[Option<f32>],
+        seen: &[bool],
+        config: &EstimatorConfig,
+    ) -> Self {
+        let rows: Vec<Vec<[f32; 3]>> = (0..graph.len())
+            .into_par_iter()
+            .map(|i| {
+                graph
+                    .neighbours(i)
+                    .iter()
+                    .map(|&j| {
+                        let j = j as usize;
+                        let thick = match (thickness[i], thickness[j]) {
+                            (Some(a), Some(b)) => (a - b).abs() / (0.5 * (a + b)).max(f32::MIN_POSITIVE),
+                            _ => f32::NAN,
+                        };
+                        [features[i].distance(features[j]), concavity(mesh, i, j).max(concavity(mesh, j, i)), thick]
+                    })
+                    .collect()
+            })
+            .collect();
+        let terms: Vec<[f32; 3]> = rows.concat();
+        let valid: Vec<bool> = (0..graph.len())
+            .flat_map(|i| graph.neighbours(i).iter().map(move |&j| seen[i] && seen[j as usize]))
+            .collect();
+        let scale = |term: usize, least: f32| {
+            let mut values: Vec<f32> =
+                terms.iter().zip(&valid).filter(|(t, v)| **v && !t[term].is_nan()).map(|(t, _)| t[term]).collect();
+            if values.is_empty() {
+                return least;
+            }
+            let middle = values.len() / 2;
+            (1.4826 * *values.select_nth_unstable_by(middle, f32::total_cmp).1).max(least)
+        };
+        let weights = [
+            config.segment_color as f32 / scale(0, LEAST_COLOR),
+            config.segment_concavity as f32 / scale(1, LEAST_CONCAVITY),
+            config.segment_thickness as f32 / scale(2, LEAST_THICKNESS),
+        ];
+        let distance = terms
+            .iter()
+            .zip(&valid)
+            .map(|(t, &valid)| {
+                if !valid {
+                    return f32::INFINITY;
+                }
+                // Eq. (6)
+                let thick = if t[2].is_nan() { 0.0 } else { weights[2] * t[2] };
+                weights[0] * t[0] + weights[1] * t[1] + thick
+            })
+            .collect();
+        Self { distance, concavity: terms.iter().map(|t| t[1]).collect() }
+    }
+}
+
+/// Eq. (7): how far b stands above a's tangent plane, as an angle; 0 if planar or convex.
+/// The direction is from a to b, so b above the plane makes a positive dot product: max(0, π/2 − acos(…)).
+fn concavity(mesh: &Mesh, a: usize, b: usize) -> f32 {
+    let d = (mesh.positions[b] - mesh.positions[a]).normalize_or_zero().dot(mesh.normals[a]);
+    libm::asinf(d.clamp(0.0, 1.0))
+}
+
+/// Clusters of core points and the points within ε of them; [`NONE`] for noise.
+fn dbscan(graph: &Graph, edges: &Edges, seen: &[bool], min_points: usize) -> Vec<u32> {
+    let row = |i: usize| graph.offsets[i] as usize..graph.offsets[i + 1] as usize;
+    let k_distance: Vec<f32> = (0..graph.len())
+        .into_par_iter()
+        .map(|i| {
+            let mut d = edges.distance[row(i)].to_vec();
+            d.sort_unstable_by(f32::total_cmp);
+            d.get(min_points.min(d.len()).saturating_sub(1)).copied().unwrap_or(f32::INFINITY)
+        })
+        .collect();
+    let epsilon = knee(&k_distance);
+    let core = |i: usize| seen[i] && k_distance[i] <= epsilon;
+    let mut labels = vec![NONE; graph.len()];
+    let mut next = 0;
+    let mut stack = Vec::new();
+    for start in 0..graph.len() {
+        if labels[start] != NONE || !core(start) {
+            continue;
+        }
+        labels[start] = next;
+        stack.push(start);
+        while let Some(i) = stack.pop() {
+            for (e, j) in graph.edges(i) {
+                if edges.distance[e] <= epsilon && labels[j] == NONE {
+                    labels[j] = next;
+                    if core(j) {
+                        stack.push(j);
+                    }
+                }
+            }
+        }
+        next += 1;
+    }
+    labels
+}
+
+/// ε: where the sorted k-distances bend upwards most (farthest below the chord over their upper half).
+fn knee(k_distance: &[f32]) -> f32 {
+    let mut sorted: Vec<f32> = k_distance.iter().copied().filter(|d| d.is_finite()).collect();
+    if sorted.is_empty() {
+        return 0.0;
+    }
+    sorted.sort_unstable_by(f32::total_cmp);
+    let median = sorted[sorted.len() / 2];
+    let (first, last) = (sorted.len() / 2, sorted.len() - 1 - sorted.len() / 200);
+    if last <= first {
+        return sorted[sorted.len() - 1];
+    }
+    let rise = sorted[last] - sorted[first];
+    let below = |i: usize| (i - first) as f32 / (last - first) as f32 * rise - (sorted[i] - sorted[first]);
+    let bend = (first..=last).fold(first, |best, i| if below(i) > below(best) { i } else { best });
+    sorted[bend].clamp(2.0 * median, 8.0 * median).max(f32::MIN_POSITIVE)
+}

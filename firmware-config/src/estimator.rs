@@ -65,6 +65,10 @@ section! {
         edge_distance: f64 = 3.0, [0.5..=50.0], "edges", "c3, Eq. (4)";
         /// Neighbour normals that differ by more mark a geometric edge.
         edge_angle_deg: f64 = 40.0, [1.0..=180.0], "deg", "c4, Eq. (4)";
+        /// Pixels with a channel of this 8-bit value or more are clipped.
+        clipped_from: u32 = 250, [2..=256], "", "";
+        /// Linear samples below this tell no exposure.
+        dark_below: f64 = 0.004, [0.0..=0.5], "", "";
         /// Rounds of lit colour, exposure and pose.
         association_rounds: u32 = 6, [1..=50], "", "";
         /// Exposure model.
@@ -81,6 +85,8 @@ section! {
         segment_thickness: f64 = 0.25, [0.0..=100.0], "", "w3, Eq. (6)";
         /// Neighbours that make a core point.
         segment_min_points: u32 = 4, [1..=100], "", "minPts";
+        /// Regions whose border is weaker than this belong together.
+        segment_merge: f64 = 5.0, [0.0..=100.0], "CIELAB", "";
         /// Segments with a smaller share of the vertices join their best neighbour.
         segment_min_share: f64 = 0.002, [0.0..=0.5], "", "";
         /// Transfer level.

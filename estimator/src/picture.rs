@@ -1,0 +1,123 @@
+//! A keyframe's picture, undistorted, and its linear samples.
+
+use recordings::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Response};
+
+/// Linear light (0..1) of every 8-bit value.
+pub fn linear_table(response: &Response) -> [f32; 256] {
+    std::array::from_fn(|i| {
+        let v = i as f64 / 255.0;
+        let light = match *response {
+            Response::Srgb if v <= 0.04045 => v / 12.92,
+            Response::Srgb => libm::pow((v + 0.055) / 1.055, 2.4),
+            Response::Linear => v,
+            Response::Gamma(gamma) => libm::pow(v, gamma),
+        };
+        light as f32
+    })
+}
+
+/// An 8-bit picture as an ideal pinhole camera would have taken it. Pixels that the lens does not show are white, and
+/// so count as clipped.
+pub struct Picture {
+    /// The pinhole camera.
+    pub camera: Intrinsics,
+    /// `3 * width * height` bytes, interleaved.
+    pub data: Vec<u8>,
+}
+
+/// A sample of a picture over a small window.
+#[derive(Debug, Clone, Copy)]
+pub struct Sample {
+    /// Mean linear light.
+    pub color: [f32; 3],
+    /// Brightest 8-bit value of any channel in the window.
+    pub brightest: u8,
+    /// Number of independent pixels that the mean is worth.
+    pub pixels: f32,
+}
+
+impl Picture {
+    /// Decodes and undistorts. `None` where the picture is damaged or not of the camera's size.
+    pub fn new(frame: &ColorFrame, camera: &CameraModel) -> Option<Self> {
+        let image = frame.decode().ok()?;
+        let k = camera.intrinsics;
+        let pixels = k.width as usize * k.height as usize;
+        if image.width != k.width || image.height != k.height || image.data.len() != 3 * pixels || pixels == 0 {
+            return None;
+        }
+        let finite = [k.fx, k.fy, k.cx, k.cy].iter().all(|x| x.is_finite()) && k.fx.abs() > 0.0 && k.fy.abs() > 0.0;
+        if !finite {
+            return None;
+        }
+        let data = if camera.distortion == Distortion::default() { image.data } else { undistort(&image.data, camera) };
+        Some(Self { camera: k, data })
+    }
+
+    /// The 8-bit values at a pixel.
+    pub fn bytes(&self, x: usize, y: usize) -> [u8; 3] {
+        let i = 3 * (y * self.camera.width as usize + x);
+        [self.data[i], self.data[i + 1], self.data[i + 2]]
+    }
+
+    /// Mean over a tent of half width `radius >= 1` pixels about (u, v); radius 1 is bilinear interpolation. `None`
+    /// where the window leaves the picture.
+    pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<Sample> {
+        let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
+        let (left, top) = ((u - radius).ceil(), (v - radius).ceil());
+        let (right, bottom) = ((u + radius).floor(), (v + radius).floor());
+        // Written so that NaN fails too.
+        if !(left >= 0.0 && top >= 0.0 && right < w && bottom < h) {
+            return None;
+        }
+        let mut sum = [0.0_f32; 3];
+        let (mut total, mut squares, mut brightest) = (0.0_f32, 0.0_f32, 0_u8);
+        for y in top as usize..=bottom as usize {
+            let wy = (radius - (y as f64 - v).abs()).max(0.0);
+            for x in left as usize..=right as usize {
+                let weight = (wy * (radius - (x as f64 - u).abs()).max(0.0)) as f32;
+                if weight <= 0.0 {
+                    continue;
+                }
+                let value = self.bytes(x, y);
+                brightest = brightest.max(value[0]).max(value[1]).max(value[2]);
+                for c in 0..3 {
+                    sum[c] += weight * table[value[c] as usize];
+                }
+                total += weight;
+                squares += weight * weight;
+            }
+        }
+        (total > 0.0).then(|| Sample { color: sum.map(|s| s / total), brightest, pixels: total * total / squares })
+    }
+}
+
+fn undistort(source: &[u8], camera: &CameraModel) -> Vec<u8> {
+    let k = camera.intrinsics;
+    let d = camera.distortion;
+    let (w, h) = (k.width as usize, k.height as usize);
+    let mut out = vec![255; source.len()];
+    for y in 0..h {
+        for x in 0..w {
+            let (a, b) = ((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy);
+            let r2 = a * a + b * b;
+            let radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3));
+            let u = k.fx * (a * radial + 2.0 * d.p1 * a * b + d.p2 * (r2 + 2.0 * a * a)) + k.cx;
+            let v = k.fy * (b * radial + d.p1 * (r2 + 2.0 * b * b) + 2.0 * d.p2 * a * b) + k.cy;
+            if !(u >= 0.0 && v >= 0.0 && u < (w - 1) as f64 && v < (h - 1) as f64) {
+                continue;
+            }
+            let (x0, y0) = (u as usize, v as usize);
+            let (fu, fv) = (u - x0 as f64, v - y0 as f64);
+            for c in 0..3 {
+                let at = |dx: usize, dy: usize| f64::from(source[3 * ((y0 + dy) * w + x0 + dx) + c]);
+                let corners = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
+                let mean = (corners[0] * (1.0 - fu) + corners[1] * fu) * (1.0 - fv)
+                    + (corners[2] * (1.0 - fu) + corners[3] * fu) * fv;
+                // A clipped value keeps its neighbours clipped.
+                let clipped = corners.iter().any(|&v| v >= 254.5);
+                out[3 * (y * w + x) + c] = if clipped { 255 } else { mean.round() as u8 };
+            }
+        }
+    }
+    out
+}

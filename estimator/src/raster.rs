@@ -1,0 +1,193 @@
+//! Z-buffer rendering of the mesh into a pinhole view: what the centre of every pixel sees first.
+
+use glam::{DVec3, Vec3};
+use recordings::types::{Intrinsics, Mesh, Pose};
+
+/// No triangle.
+pub const MISS: u32 = u32::MAX;
+
+/// One view of a mesh; arrays are row-major, `width * height`.
+pub struct Raster {
+    /// Pinhole camera.
+    pub camera: Intrinsics,
+    /// Triangle seen, or [`MISS`].
+    pub triangle: Vec<u32>,
+    /// Depth along the optical axis; infinite where nothing is seen.
+    pub depth: Vec<f32>,
+}
+
+/// The pinhole camera with `factor` times as many pixels along each side (pixel centres at integers).
+pub fn scaled(camera: &Intrinsics, factor: f64) -> Intrinsics {
+    Intrinsics {
+        width: ((f64::from(camera.width) * factor).round() as u32).max(1),
+        height: ((f64::from(camera.height) * factor).round() as u32).max(1),
+        fx: camera.fx * factor,
+        fy: camera.fy * factor,
+        cx: (camera.cx + 0.5) * factor - 0.5,
+        cy: (camera.cy + 0.5) * factor - 0.5,
+    }
+}
+
+/// Vertices in the camera's frame (X right, Y down, Z forward).
+pub fn camera_positions(mesh: &Mesh, world_from_camera: &Pose) -> Vec<DVec3> {
+    let camera_from_world = world_from_camera.inverse();
+    mesh.positions.iter().map(|p| camera_from_world.transform(p.as_dvec3())).collect()
+}
+
+impl Raster {
+    /// Renders `triangles` over vertices given in the camera's frame. Both sides are seen; what comes nearer than
+    /// `near` is cut off.
+    pub fn new(points: &[DVec3], triangles: &[[u32; 3]], camera: &Intrinsics, near: f64) -> Self {
+        let pixels = camera.width as usize * camera.height as usize;
+        let mut raster = Self { camera: *camera, triangle: vec![MISS; pixels], depth: vec![f32::INFINITY; pixels] };
+        for (index, corners) in triangles.iter().enumerate() {
+            let [a, b, c] = corners.map(|i| points[i as usize]);
+            if a.z > near && b.z > near && c.z > near {
+                raster.fill(index as u32, [a, b, c]);
+            } else if a.z > near || b.z > near || c.z > near {
+                let polygon = clip_near([a, b, c], near);
+                for i in 2..polygon.len() {
+                    raster.fill(index as u32, [polygon[0], polygon[i - 1], polygon[i]]);
+                }
+            }
+        }
+        raster
+    }
+
+    fn fill(&mut self, index: u32, corners: [DVec3; 3]) {
+        let k = &self.camera;
+        let [a, b, c] = corners.map(|p| (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy, 1.0 / p.z));
+        let area = (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
+        // Written so that NaN fails too.
+        if !(area.abs() > 1e-12 && area.is_finite()) {
+            return;
+        }
+        let (left, right) = span(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0), k.width);
+        let (top, bottom) = span(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1), k.height);
+        let width = k.width as usize;
+        let scale = 1.0 / area;
+        for y in top..bottom {
+            let v = y as f64;
+            for x in left..right {
+                let u = x as f64;
+                let wb = ((u - a.0) * (c.1 - a.1) - (v - a.1) * (c.0 - a.0)) * scale;
+                let wc = ((b.0 - a.0) * (v - a.1) - (b.1 - a.1) * (u - a.0)) * scale;
+                // Inclusive, with slack for rounding, so that no pixel falls between two triangles.
+                if wb < -1e-9 || wc < -1e-9 || wb + wc > 1.0 + 1e-9 {
+                    continue;
+                }
+                let depth = (1.0 / (a.2 + wb * (b.2 - a.2) + wc * (c.2 - a.2))) as f32;
+                let pixel = y * width + x;
+                if depth < self.depth[pixel] {
+                    self.depth[pixel] = depth;
+                    self.triangle[pixel] = index;
+                }
+            }
+        }
+    }
+
+    /// The point seen at a pixel, in the camera's frame; `None` where nothing is seen.
+    pub fn point(&self, x: usize, y: usize) -> Option<DVec3> {
+        let z = f64::from(self.depth[y * self.camera.width as usize + x]);
+        let k = &self.camera;
+        z.is_finite().then(|| DVec3::new((x as f64 - k.cx) / k.fx * z, (y as f64 - k.cy) / k.fy * z, z))
+    }
+
+    /// Barycentric weights of the point seen at a pixel, on the triangle given by `corners` in the camera's frame.
+    pub fn weights(&self, x: usize, y: usize, corners: [DVec3; 3]) -> [f32; 3] {
+        let k = &self.camera;
+        let ray = DVec3::new((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy, 1.0);
+        let [a, b, c] = corners;
+        // Ratios of the volumes that the ray's line spans with the edges: right in perspective, no division by depth.
+        let w = [ray.dot(b.cross(c)), ray.dot(c.cross(a)), ray.dot(a.cross(b))];
+        let sum = w[0] + w[1] + w[2];
+        if sum.abs() > 0.0 { w.map(|x| (x / sum).clamp(0.0, 1.0) as f32) } else { [1.0, 0.0, 0.0] }
+    }
+}
+
+/// Pixels whose centres lie in `low..=high`, cut to the picture.
+fn span(low: f64, high: f64, size: u32) -> (usize, usize) {
+    // Casts saturate, so values far outside the picture are harmless.
+    let first = (low - 1e-6).ceil().max(0.0) as usize;
+    let end = ((high + 1e-6).floor() + 1.0).clamp(0.0, f64::from(size)) as usize;
+    (first, end)
+}
+
+fn clip_near(corners: [DVec3; 3], near: f64) -> Vec<DVec3> {
+    let mut polygon = Vec::with_capacity(4);
+    for i in 0..3 {
+        let (p, q) = (corners[i], corners[(i + 1) % 3]);
+        if p.z > near {
+            polygon.push(p);
+        }
+        if (p.z > near) != (q.z > near) {
+            polygon.push(p + (q - p) * ((near - p.z) / (q.z - p.z)));
+        }
+    }
+    polygon
+}
+
+/// Unit normal of every triangle as the mean of its vertices' normals; the flat normal where these cancel.
+pub fn triangle_normals(mesh: &Mesh) -> Vec<Vec3> {
+    let flat = |t: &[u32; 3]| {
+        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+        (b - a).cross(c - a).normalize_or_zero()
+    };
+    mesh.triangles
+        .iter()
+        .map(|t| {
+            let mean = t.iter().map(|&i| mesh.normals[i as usize]).sum::<Vec3>();
+            if mean.length_squared() > 0.1 { mean.normalize() } else { flat(t) }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CAMERA: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
+
+    #[test]
+    fn wall_covers_every_pixel_at_its_depth() {
+        let points = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)].map(|(x, y)| DVec3::new(x, y, 2.0));
+        let raster = Raster::new(&points, &[[0, 1, 2], [0, 2, 3]], &CAMERA, 1e-3);
+        assert!(raster.depth.iter().all(|&d| (d - 2.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn floor_below_the_camera_is_cut_at_the_near_plane() {
+        // One huge triangle that reaches behind the camera.
+        let points = [DVec3::new(-1e4, 1.0, -50.0), DVec3::new(1e4, 1.0, -50.0), DVec3::new(0.0, 1.0, 1e4)];
+        let raster = Raster::new(&points, &[[0, 1, 2]], &CAMERA, 1e-3);
+        let z = raster.depth[47 * 64 + 32];
+        assert!((f64::from(z) - 50.0 / (47.0 - 23.5)).abs() < 1e-4, "{z}");
+        assert!(raster.depth[32].is_infinite());
+    }
+
+    #[test]
+    fn nearer_triangle_wins_whatever_the_order() {
+        let quad = |z: f64| [DVec3::new(-9.0, -9.0, z), DVec3::new(9.0, -9.0, z), DVec3::new(0.0, 9.0, z)];
+        let points = [quad(3.0), quad(2.0)].concat();
+        for (order, near) in [([[0, 1, 2], [3, 4, 5]], 1), ([[3, 4, 5], [0, 1, 2]], 0)] {
+            assert_eq!(Raster::new(&points, &order, &CAMERA, 1e-3).triangle[23 * 64 + 31], near);
+        }
+    }
+
+    #[test]
+    fn weights_return_the_point() {
+        let corners = [DVec3::new(-1.0, -1.0, 1.5), DVec3::new(1.0, -0.5, 2.5), DVec3::new(0.0, 1.5, 2.0)];
+        let raster = Raster::new(&corners, &[[0, 1, 2]], &CAMERA, 1e-3);
+        let w = raster.weights(32, 24, corners);
+        let p = corners[0] * f64::from(w[0]) + corners[1] * f64::from(w[1]) + corners[2] * f64::from(w[2]);
+        assert!(p.distance(raster.point(32, 24).unwrap()) < 1e-5);
+    }
+
+    #[test]
+    fn nonsense_corners_draw_nothing_and_do_not_panic() {
+        for bad in [f64::NAN, f64::INFINITY, 1e300] {
+            let points = [DVec3::new(bad, 0.0, 1.0), DVec3::new(1.0, bad, 1.0), DVec3::new(0.0, 1.0, 1.0)];
+            Raster::new(&points, &[[0, 1, 2], [0, 0, 0]], &CAMERA, 1e-3);
+        }
+    }
+}
