@@ -13,6 +13,26 @@ pub enum Error {
         /// Cause.
         source: std::io::Error,
     },
+    /// The file ends in the middle; everything before has been delivered.
+    #[error(
+        "{path}: the file is cut off after {offset} bytes; what precedes is intact, the rest is lost: copy or record it again"
+    )]
+    Truncated {
+        /// File concerned.
+        path: PathBuf,
+        /// Where the last whole chunk ends.
+        offset: u64,
+    },
+    /// A chunk's checksum or length is wrong; everything before has been delivered.
+    #[error("{path}: damaged at byte {offset} ({problem}); what precedes is intact: copy or record it again")]
+    Damaged {
+        /// File concerned.
+        path: PathBuf,
+        /// Where the damaged chunk begins.
+        offset: u64,
+        /// What is wrong with it.
+        problem: String,
+    },
     /// The bytes are not what they should be.
     #[error("{path}: {problem}; {remedy}")]
     Invalid {

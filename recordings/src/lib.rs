@@ -2,7 +2,9 @@
 //! (`.lres`), the types in them, and the importers.
 
 mod camera;
+pub mod chunk;
 mod decode;
+mod depth_codec;
 pub mod error;
 mod lists;
 pub mod photos;
@@ -11,7 +13,9 @@ pub mod result;
 pub mod scan;
 pub mod tum;
 pub mod types;
+mod v1;
 
+pub use chunk::crc32_of_file;
 pub use error::{Error, Result};
 pub use lists::{format_seconds, parse_seconds};
 

@@ -1,9 +1,31 @@
 //! RGB-D recordings (`.lrec`): a sensor header, then time-stamped events in the order they came.
 
-use crate::error::Result;
-use crate::types::{Accelerometer, ColorFrame, DepthFrame, Sensor, UsbPacket};
+use crate::chunk::{ChunkReader, ChunkWriter, Tag};
+use crate::depth_codec::{self, DepthDecoder};
+use crate::error::{Error, Result};
+use crate::types::{Accelerometer, ColorFrame, DepthFrame, Sensor, TimestampNs, UsbPacket};
+use crate::v1::{AccelerometerV1, ColorV1, DepthV1, RecordingKindV1, RecordingV1, from_bytes, to_bytes};
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::path::Path;
+
+/// Kind of file.
+pub const KIND: Tag = *b"LREC";
+const VERSION: u32 = 1;
+const HEAD: Tag = *b"HEAD";
+const DEPTH: Tag = *b"DPTH";
+const COLOR: Tag = *b"COLR";
+const ACCELEROMETER: Tag = *b"ACCL";
+const PACKETS: Tag = *b"PKTS";
+const KNOWN: &[(Tag, u32)] =
+    &[(HEAD, 1 << 16), (DEPTH, 1 << 26), (COLOR, (1 << 28) + 64), (ACCELEROMETER, 64), (PACKETS, 1 << 20)];
+
+/// Bytes of the largest picture; its chunk may be longer by a header.
+const MAX_PICTURE_BYTES: usize = 1 << 28;
+/// Pixels of the largest depth image.
+const MAX_DEPTH_PIXELS: u64 = 1 << 24;
+/// Packets are gathered until a chunk holds this many bytes.
+const PACKET_BATCH_BYTES: usize = 1 << 16;
 
 /// What a recording holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,59 +49,261 @@ pub enum Event {
     Packet(UsbPacket),
 }
 
+impl Event {
+    /// Its time stamp.
+    #[must_use]
+    pub fn timestamp_ns(&self) -> TimestampNs {
+        match self {
+            Self::Depth(d) => d.timestamp_ns,
+            Self::Color(c) => c.timestamp_ns,
+            Self::Accelerometer(a) => a.timestamp_ns,
+            Self::Packet(p) => p.timestamp_ns,
+        }
+    }
+}
+
 /// Writes a recording; nothing is visible under its name before [`RecordingWriter::finish`].
-pub struct RecordingWriter {}
+pub struct RecordingWriter {
+    file: ChunkWriter,
+    kind: RecordingKind,
+    depth_size: (u32, u32),
+    color_size: (u32, u32),
+    packets: Vec<u8>,
+    coded: Vec<u8>,
+}
 
 impl RecordingWriter {
     /// Starts a recording beside `path`.
     ///
     /// # Errors
-    /// The folder cannot be written.
-    pub fn create(_path: &Path, _kind: RecordingKind, _sensor: &Sensor) -> Result<Self> {
-        unimplemented!()
+    /// The folder cannot be written, or the sensor's description makes no sense.
+    pub fn create(path: &Path, kind: RecordingKind, sensor: &Sensor) -> Result<Self> {
+        let refuse = |problem: String| Error::invalid(path, problem, "mend the sensor's description");
+        check_sensor(sensor).map_err(refuse)?;
+        let kind_v1 = match kind {
+            RecordingKind::Frames => RecordingKindV1::Frames,
+            RecordingKind::Packets => RecordingKindV1::Packets,
+        };
+        let head = to_bytes(&RecordingV1 { kind: kind_v1, sensor: sensor.into() }).map_err(refuse)?;
+        let mut file = ChunkWriter::create(path, KIND, VERSION)?;
+        file.write(HEAD, &[&head])?;
+        let size = |camera: &crate::types::CameraModel| (camera.intrinsics.width, camera.intrinsics.height);
+        let (depth_size, color_size) = (size(&sensor.depth), size(&sensor.color));
+        Ok(Self { file, kind, depth_size, color_size, packets: Vec::new(), coded: Vec::new() })
     }
+
     /// Appends an event.
     ///
     /// # Errors
-    /// The disk is full or gone.
-    pub fn write(&mut self, _event: &Event) -> Result<()> {
-        unimplemented!()
+    /// The disk is full or gone, or the event is none of this recording's kind and sensor.
+    pub fn write(&mut self, event: &Event) -> Result<()> {
+        let path = self.file.path().to_path_buf();
+        let refuse = |problem: String| Error::invalid(&path, problem, "start a recording that fits the sensor");
+        let is_packet = matches!(event, Event::Packet(_));
+        let is_frame = matches!(event, Event::Depth(_) | Event::Color(_));
+        if (is_packet && self.kind != RecordingKind::Packets) || (is_frame && self.kind != RecordingKind::Frames) {
+            return Err(refuse(format!("the event does not belong in a recording of {:?}", self.kind)));
+        }
+        if !is_packet {
+            self.flush_packets()?;
+        }
+        match event {
+            Event::Depth(d) => {
+                let (w, h) = self.depth_size;
+                if (d.width, d.height) != (w, h) || d.depth.len() as u64 != u64::from(w) * u64::from(h) {
+                    return Err(refuse(format!("depth of {}x{}, the sensor has {w}x{h}", d.width, d.height)));
+                }
+                let head = DepthV1 { timestamp_ns: d.timestamp_ns, missing_packets: d.missing_packets };
+                let head = to_bytes(&head).map_err(refuse)?;
+                self.coded.clear();
+                depth_codec::encode(&d.depth, w as usize, &mut self.coded);
+                self.file.write(DEPTH, &[&head, &self.coded])
+            }
+            Event::Color(c) => {
+                let (w, h) = self.color_size;
+                if (c.width, c.height) != (w, h) {
+                    return Err(refuse(format!("colour of {}x{}, the sensor has {w}x{h}", c.width, c.height)));
+                }
+                if c.bytes.len() > MAX_PICTURE_BYTES {
+                    return Err(refuse(format!("a picture of {} bytes", c.bytes.len())));
+                }
+                let head = to_bytes(&ColorV1::from(c)).map_err(refuse)?;
+                self.file.write(COLOR, &[&head, &c.bytes])
+            }
+            Event::Accelerometer(a) => {
+                let v1 = AccelerometerV1 { timestamp_ns: a.timestamp_ns, acceleration: a.acceleration };
+                self.file.write(ACCELEROMETER, &[&to_bytes(&v1).map_err(refuse)?])
+            }
+            Event::Packet(p) => {
+                let length = u16::try_from(p.data.len()).map_err(|_| refuse("a packet of 64 KiB".into()))?;
+                self.packets.extend(p.timestamp_ns.to_le_bytes());
+                self.packets.push(p.endpoint);
+                self.packets.extend(length.to_le_bytes());
+                self.packets.extend(&p.data);
+                if self.packets.len() >= PACKET_BATCH_BYTES { self.flush_packets() } else { Ok(()) }
+            }
+        }
     }
+
+    fn flush_packets(&mut self) -> Result<()> {
+        if !self.packets.is_empty() {
+            self.file.write(PACKETS, &[&self.packets])?;
+            self.packets.clear();
+        }
+        Ok(())
+    }
+
     /// Flushes, syncs and renames into place.
     ///
     /// # Errors
     /// The disk is full or gone.
-    pub fn finish(self) -> Result<()> {
-        unimplemented!()
+    pub fn finish(mut self) -> Result<()> {
+        self.flush_packets()?;
+        self.file.finish()
     }
 }
 
+fn check_sensor(sensor: &Sensor) -> std::result::Result<(), String> {
+    if let Some(problem) = sensor.color.problem().or(sensor.depth.problem()) {
+        return Err(problem.into());
+    }
+    let i = &sensor.depth.intrinsics;
+    if u64::from(i.width) * u64::from(i.height) > MAX_DEPTH_PIXELS {
+        return Err(format!("depth of {}x{} is too large", i.width, i.height));
+    }
+    Ok(())
+}
+
 /// Reads a recording, event by event, with memory for one event.
-pub struct RecordingReader {}
+pub struct RecordingReader {
+    file: ChunkReader,
+    kind: RecordingKind,
+    sensor: Sensor,
+    /// Where the first event's chunk begins.
+    first: u64,
+    /// Set at the end and after an error.
+    done: bool,
+    payload: Vec<u8>,
+    packets: VecDeque<UsbPacket>,
+    decoder: DepthDecoder,
+}
 
 impl RecordingReader {
     /// Opens a recording and reads its header.
     ///
     /// # Errors
     /// Unreadable, no recording, or of a newer version.
-    pub fn open(_path: &Path) -> Result<Self> {
-        unimplemented!()
+    pub fn open(path: &Path) -> Result<Self> {
+        let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
+        let mut payload = Vec::new();
+        let invalid = |problem: String| Error::invalid(path, problem, "record or import it again");
+        let tag = file.next(&mut payload)?;
+        if tag != Some(HEAD) {
+            return Err(invalid("a recording without a header".into()));
+        }
+        let (head, _) = from_bytes::<RecordingV1>(&payload).map_err(invalid)?;
+        let sensor = Sensor::try_from(head.sensor).map_err(invalid)?;
+        check_sensor(&sensor).map_err(invalid)?;
+        let kind = match head.kind {
+            RecordingKindV1::Frames => RecordingKind::Frames,
+            RecordingKindV1::Packets => RecordingKind::Packets,
+        };
+        let first = file.offset();
+        let (packets, decoder) = (VecDeque::new(), DepthDecoder::new());
+        Ok(Self { file, kind, sensor, first, done: false, payload, packets, decoder })
     }
+
     /// What it holds.
     #[must_use]
     pub fn kind(&self) -> RecordingKind {
-        unimplemented!()
+        self.kind
     }
+
     /// The sensor.
     #[must_use]
     pub fn sensor(&self) -> &Sensor {
-        unimplemented!()
+        &self.sensor
     }
+
     /// The next event; `None` at the end. After an error (damaged chunk) there is no further event.
     ///
     /// # Errors
     /// A damaged or truncated chunk; everything before it has been delivered.
     pub fn next_event(&mut self) -> Result<Option<Event>> {
-        unimplemented!()
+        loop {
+            if let Some(packet) = self.packets.pop_front() {
+                return Ok(Some(Event::Packet(packet)));
+            }
+            if self.done {
+                return Ok(None);
+            }
+            self.done = true;
+            let begin = self.file.offset();
+            let Some(tag) = self.file.next(&mut self.payload)? else {
+                return Ok(None);
+            };
+            let event = self.parse(tag).map_err(|problem| Error::Damaged {
+                path: self.file.path().to_path_buf(),
+                offset: begin,
+                problem,
+            })?;
+            self.done = false;
+            if event.is_some() {
+                return Ok(event);
+            }
+        }
     }
+
+    /// Goes back to the first event.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn rewind(&mut self) -> Result<()> {
+        self.packets.clear();
+        self.done = false;
+        self.file.seek(self.first)
+    }
+
+    /// The event of the chunk in `payload`; packets are queued instead.
+    fn parse(&mut self, tag: Tag) -> std::result::Result<Option<Event>, String> {
+        Ok(match tag {
+            DEPTH => {
+                let (head, coded) = from_bytes::<DepthV1>(&self.payload)?;
+                let (width, height) = (self.sensor.depth.intrinsics.width, self.sensor.depth.intrinsics.height);
+                let depth = self.decoder.decode(coded, width as usize, height as usize)?;
+                let DepthV1 { timestamp_ns, missing_packets } = head;
+                Some(Event::Depth(DepthFrame { timestamp_ns, width, height, depth, missing_packets }))
+            }
+            COLOR => {
+                let (head, bytes) = from_bytes::<ColorV1>(&self.payload)?;
+                let (width, height) = (self.sensor.color.intrinsics.width, self.sensor.color.intrinsics.height);
+                if (head.width, head.height) != (width, height) {
+                    return Err(format!("colour of {}x{}, the sensor has {width}x{height}", head.width, head.height));
+                }
+                Some(Event::Color(head.with_bytes(bytes)))
+            }
+            ACCELEROMETER => {
+                let (AccelerometerV1 { timestamp_ns, acceleration }, _) = from_bytes(&self.payload)?;
+                Some(Event::Accelerometer(Accelerometer { timestamp_ns, acceleration }))
+            }
+            PACKETS => {
+                let mut rest = self.payload.as_slice();
+                while !rest.is_empty() {
+                    let (packet, tail) = parse_packet(rest).ok_or("a packet ends early")?;
+                    self.packets.push_back(packet);
+                    rest = tail;
+                }
+                None
+            }
+            _ => return Err("a second header".into()),
+        })
+    }
+}
+
+fn parse_packet(bytes: &[u8]) -> Option<(UsbPacket, &[u8])> {
+    let (stamp, rest) = bytes.split_first_chunk::<8>()?;
+    let (&[endpoint], rest) = rest.split_first_chunk::<1>()?;
+    let (length, rest) = rest.split_first_chunk::<2>()?;
+    let (data, rest) = rest.split_at_checked(usize::from(u16::from_le_bytes(*length)))?;
+    Some((UsbPacket { timestamp_ns: i64::from_le_bytes(*stamp), endpoint, data: data.to_vec() }, rest))
 }

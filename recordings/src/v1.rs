@@ -1,0 +1,244 @@
+//! What stands in our files, version 1. These structs are never edited: a new version stands beside them.
+
+use crate::types::{CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Pose, Response, Sensor};
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// Intrinsics fx fy cx cy and distortion k1 k2 p1 p2 k3.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct CameraV1 {
+    width: u32,
+    height: u32,
+    intrinsics: [f64; 4],
+    distortion: [f64; 5],
+}
+
+impl From<&CameraModel> for CameraV1 {
+    fn from(camera: &CameraModel) -> Self {
+        let (i, d) = (&camera.intrinsics, &camera.distortion);
+        Self {
+            width: i.width,
+            height: i.height,
+            intrinsics: [i.fx, i.fy, i.cx, i.cy],
+            distortion: [d.k1, d.k2, d.p1, d.p2, d.k3],
+        }
+    }
+}
+
+impl TryFrom<CameraV1> for CameraModel {
+    type Error = String;
+    fn try_from(c: CameraV1) -> Result<Self, String> {
+        let ([fx, fy, cx, cy], [k1, k2, p1, p2, k3]) = (c.intrinsics, c.distortion);
+        let camera = Self {
+            intrinsics: Intrinsics { width: c.width, height: c.height, fx, fy, cx, cy },
+            distortion: Distortion { k1, k2, p1, p2, k3 },
+        };
+        match camera.problem() {
+            Some(problem) => Err(format!("camera: {problem}")),
+            None => Ok(camera),
+        }
+    }
+}
+
+/// Quaternion x y z w and translation.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct PoseV1([f64; 7]);
+
+impl From<&Pose> for PoseV1 {
+    fn from(p: &Pose) -> Self {
+        let ([x, y, z, w], [tx, ty, tz]) = (p.rotation.to_array(), p.translation.to_array());
+        Self([x, y, z, w, tx, ty, tz])
+    }
+}
+
+impl TryFrom<PoseV1> for Pose {
+    type Error = String;
+    fn try_from(PoseV1([x, y, z, w, tx, ty, tz]): PoseV1) -> Result<Self, String> {
+        // As it was written, not normalised again: reading must not change a bit.
+        let pose = Self { rotation: DQuat::from_xyzw(x, y, z, w), translation: DVec3::new(tx, ty, tz) };
+        if pose.is_finite() && (pose.rotation.length() - 1.0).abs() < 1e-3 {
+            Ok(pose)
+        } else {
+            Err("a pose that is no rigid transform".into())
+        }
+    }
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum ResponseV1 {
+    Srgb,
+    Linear,
+    Gamma(f64),
+}
+
+impl From<Response> for ResponseV1 {
+    fn from(r: Response) -> Self {
+        match r {
+            Response::Srgb => Self::Srgb,
+            Response::Linear => Self::Linear,
+            Response::Gamma(gamma) => Self::Gamma(gamma),
+        }
+    }
+}
+
+impl TryFrom<ResponseV1> for Response {
+    type Error = String;
+    fn try_from(r: ResponseV1) -> Result<Self, String> {
+        match r {
+            ResponseV1::Srgb => Ok(Self::Srgb),
+            ResponseV1::Linear => Ok(Self::Linear),
+            ResponseV1::Gamma(gamma) if gamma.is_finite() && gamma > 0.0 => Ok(Self::Gamma(gamma)),
+            ResponseV1::Gamma(gamma) => Err(format!("response gamma {gamma}")),
+        }
+    }
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct SensorV1 {
+    name: String,
+    serial: String,
+    color: CameraV1,
+    depth: CameraV1,
+    color_from_depth: PoseV1,
+    depth_registered: bool,
+    depth_unit_m: f64,
+    response: ResponseV1,
+    depth_to_color_offset_ns: i64,
+}
+
+impl From<&Sensor> for SensorV1 {
+    fn from(s: &Sensor) -> Self {
+        Self {
+            name: s.name.clone(),
+            serial: s.serial.clone(),
+            color: (&s.color).into(),
+            depth: (&s.depth).into(),
+            color_from_depth: (&s.color_from_depth).into(),
+            depth_registered: s.depth_registered,
+            depth_unit_m: s.depth_unit_m,
+            response: s.response.into(),
+            depth_to_color_offset_ns: s.depth_to_color_offset_ns,
+        }
+    }
+}
+
+impl TryFrom<SensorV1> for Sensor {
+    type Error = String;
+    fn try_from(s: SensorV1) -> Result<Self, String> {
+        if !(s.depth_unit_m.is_finite() && s.depth_unit_m > 0.0) {
+            return Err(format!("depth unit {} m", s.depth_unit_m));
+        }
+        Ok(Self {
+            name: s.name,
+            serial: s.serial,
+            color: s.color.try_into()?,
+            depth: s.depth.try_into()?,
+            color_from_depth: s.color_from_depth.try_into()?,
+            depth_registered: s.depth_registered,
+            depth_unit_m: s.depth_unit_m,
+            response: s.response.try_into()?,
+            depth_to_color_offset_ns: s.depth_to_color_offset_ns,
+        })
+    }
+}
+
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(crate) enum EncodingV1 {
+    BayerGrbg,
+    Rgb,
+    Jpeg,
+    Png,
+}
+
+impl From<ColorEncoding> for EncodingV1 {
+    fn from(e: ColorEncoding) -> Self {
+        match e {
+            ColorEncoding::BayerGrbg => Self::BayerGrbg,
+            ColorEncoding::Rgb => Self::Rgb,
+            ColorEncoding::Jpeg => Self::Jpeg,
+            ColorEncoding::Png => Self::Png,
+        }
+    }
+}
+
+impl From<EncodingV1> for ColorEncoding {
+    fn from(e: EncodingV1) -> Self {
+        match e {
+            EncodingV1::BayerGrbg => Self::BayerGrbg,
+            EncodingV1::Rgb => Self::Rgb,
+            EncodingV1::Jpeg => Self::Jpeg,
+            EncodingV1::Png => Self::Png,
+        }
+    }
+}
+
+/// Before the bytes of a colour frame.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct ColorV1 {
+    pub timestamp_ns: i64,
+    pub width: u32,
+    pub height: u32,
+    pub encoding: EncodingV1,
+    pub missing_packets: u32,
+}
+
+impl From<&ColorFrame> for ColorV1 {
+    fn from(c: &ColorFrame) -> Self {
+        Self {
+            timestamp_ns: c.timestamp_ns,
+            width: c.width,
+            height: c.height,
+            encoding: c.encoding.into(),
+            missing_packets: c.missing_packets,
+        }
+    }
+}
+
+impl ColorV1 {
+    pub fn with_bytes(self, bytes: &[u8]) -> ColorFrame {
+        ColorFrame {
+            timestamp_ns: self.timestamp_ns,
+            width: self.width,
+            height: self.height,
+            encoding: self.encoding.into(),
+            bytes: bytes.to_vec(),
+            missing_packets: self.missing_packets,
+        }
+    }
+}
+
+/// Before the bytes of a depth frame, which has the sensor's size.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct DepthV1 {
+    pub timestamp_ns: i64,
+    pub missing_packets: u32,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct AccelerometerV1 {
+    pub timestamp_ns: i64,
+    pub acceleration: [f32; 3],
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum RecordingKindV1 {
+    Frames,
+    Packets,
+}
+
+/// Head of a recording.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct RecordingV1 {
+    pub kind: RecordingKindV1,
+    pub sensor: SensorV1,
+}
+
+/// Postcard of a header struct. Fails only where memory does, which is not reported as an error on any system we run on.
+pub(crate) fn to_bytes<T: Serialize>(value: &T) -> Result<Vec<u8>, String> {
+    postcard::to_allocvec(value).map_err(|e| e.to_string())
+}
+
+/// Reads a header struct; the rest of the bytes follows.
+pub(crate) fn from_bytes<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), String> {
+    postcard::take_from_bytes(bytes).map_err(|e| format!("unreadable header: {e}"))
+}
