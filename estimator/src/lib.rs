@@ -17,6 +17,7 @@ pub mod scene;
 pub mod segmentation;
 pub mod sh;
 pub mod specular;
+mod surface;
 mod template;
 pub mod thickness;
 pub mod transfer;

@@ -1,15 +1,101 @@
 //! Mesh regularisation: what the estimator works on has unit normals, no degenerate triangles and, where it was fused
 //! from depth, edges of about one length.
 
+use crate::scene::{Hit, Scene};
+use crate::surface::Surface;
 use firmware_config::EstimatorConfig;
-use glam::Vec3;
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
 use recordings::scan::ScanSource;
 use recordings::types::Mesh;
 
-/// Prepares a scan's mesh. Imported meshes keep their vertices one to one; only unusable triangles go and missing
-/// normals are made.
+/// Rounds of split, collapse, flip and smoothing.
+const ROUNDS: usize = 3;
+/// Longest and shortest edge as multiples of the target (Botsch and Kobbelt).
+const LONGEST: f32 = 4.0 / 3.0;
+const SHORTEST: f32 = 0.8;
+/// Vertices nearer than this many median edges are one.
+const WELD: f32 = 1e-3;
+/// A mesh with a smaller share of edges outside [0.5, 1.5] of the target is regular already.
+const IRREGULAR_SHARE: f32 = 0.02;
+/// The mesh grows to at most this many times its vertices.
+const GROWTH: usize = 4;
+
+/// Prepares a scan's mesh. A fused mesh is welded, loses its specks and gets edges of `config.regularise` median edges.
+/// An imported mesh is taken as it is, vertex by vertex, unless `config.regularise` is something else than 1: only
+/// unusable triangles go and missing normals are made. A mesh that is regular already keeps its vertices too.
 #[must_use]
-pub fn regularise(mesh: &Mesh, _config: &EstimatorConfig, _source: ScanSource) -> Mesh {
+pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> Mesh {
+    let as_it_is = match source {
+        ScanSource::Photos => config.regularise == 0.0 || config.regularise == 1.0,
+        ScanSource::Fusion => config.regularise == 0.0,
+    };
+    if as_it_is {
+        return repaired(mesh);
+    }
+    let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
+    let target = config.regularise as f32 * median(edge_lengths(&clean));
+    if clean.triangles.is_empty() || !(target > 0.0 && target.is_finite()) {
+        return repaired(mesh);
+    }
+    let outside = |l: &f32| !(0.5 * target..=1.5 * target).contains(l);
+    let lengths = edge_lengths(&clean);
+    if (lengths.iter().filter(|l| outside(l)).count() as f32) < IRREGULAR_SHARE * lengths.len() as f32 {
+        return clean;
+    }
+    remesh(&clean, target)
+}
+
+fn remesh(mesh: &Mesh, target: f32) -> Mesh {
+    let scene = Scene::new(mesh);
+    let limit = GROWTH * mesh.positions.len() + 1000;
+    let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
+    for _ in 0..ROUNDS {
+        surface.split_long(LONGEST * target, limit);
+        surface.collapse_short(SHORTEST * target, LONGEST * target);
+        surface.flip_edges();
+        let relaxed = surface.relaxed(0.5);
+        let normals = surface.normals();
+        surface.positions = relaxed
+            .par_iter()
+            .zip(&normals)
+            .zip(&surface.positions)
+            .map(|((p, n), old)| project(mesh, &scene, *p, *n, target).map_or(*old, |hit| hit.0))
+            .collect();
+    }
+    surface.flip_edges();
+    let own = surface.normals();
+    let normals = surface
+        .positions
+        .par_iter()
+        .zip(&own)
+        .map(|(p, n)| {
+            let Some((_, hit)) = project(mesh, &scene, *p, *n, target) else { return *n };
+            let [a, b, c] = mesh.triangles[hit.triangle as usize].map(|i| mesh.normals[i as usize]);
+            let input = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+            if input.dot(*n) > 0.5 { input.normalize() } else { *n }
+        })
+        .collect::<Vec<Vec3>>();
+    let triangles = surface.triangles();
+    let raw = Mesh { positions: surface.positions, normals, triangles };
+    let triangles = usable_triangles(&raw);
+    compacted(&raw, triangles)
+}
+
+/// The input surface along the normal, at most half a target edge away and facing the same way.
+fn project(mesh: &Mesh, scene: &Scene, p: Vec3, normal: Vec3, target: f32) -> Option<(Vec3, Hit)> {
+    if normal == Vec3::ZERO {
+        return None;
+    }
+    let reach = 0.5 * target;
+    let hit = scene.closest_hit(p + normal * reach, -normal).filter(|h| h.distance <= 2.0 * reach)?;
+    let [a, b, c] = mesh.triangles[hit.triangle as usize].map(|i| mesh.positions[i as usize]);
+    let same_side = (b - a).cross(c - a).normalize_or_zero().dot(normal) > 0.3;
+    same_side.then(|| (p + normal * (reach - hit.distance), hit))
+}
+
+/// The same vertices with finite positions and unit normals, and only triangles that are usable.
+fn repaired(mesh: &Mesh) -> Mesh {
     let triangles = usable_triangles(mesh);
     let made = area_normals(&mesh.positions, &triangles);
     let normals = (0..mesh.positions.len())
@@ -40,7 +126,7 @@ fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
             (key, index)
         })
         .collect();
-    keyed.sort_unstable();
+    keyed.par_sort_unstable();
     keyed.dedup_by_key(|k| k.0);
     let mut kept: Vec<usize> = keyed.into_iter().map(|k| k.1).collect();
     kept.sort_unstable();
@@ -58,4 +144,82 @@ fn area_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
         }
     }
     sums.into_iter().map(|n| n.try_normalize().unwrap_or(Vec3::Z)).collect()
+}
+
+/// Vertices that coincide become one; vertices without a triangle go.
+fn welded(mesh: &Mesh) -> Mesh {
+    let cell = WELD * median(edge_lengths(mesh));
+    if !(cell > 0.0 && cell.is_finite()) {
+        return mesh.clone();
+    }
+    let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    // Saturating casts: coordinates beyond 2³¹ cells fall together only with their like.
+    let mut keyed: Vec<([i32; 3], u32)> = (0u32..)
+        .zip(&mesh.positions)
+        .map(|(i, p)| (((*p - origin) / cell).round().as_ivec3().min(IVec3::MAX).to_array(), i))
+        .collect();
+    keyed.par_sort_unstable();
+    let mut names = vec![0_u32; mesh.positions.len()];
+    let mut first = 0;
+    for (k, (key, i)) in keyed.iter().enumerate() {
+        if key != &keyed[first].0 {
+            first = k;
+        }
+        names[*i as usize] = keyed[first].1;
+    }
+    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|i| names[i as usize])).collect();
+    let triangles = usable_triangles(&Mesh { positions: mesh.positions.clone(), normals: vec![], triangles });
+    compacted(mesh, triangles)
+}
+
+/// Components of fewer vertices than `share` of the largest's are noise of the depth camera.
+fn without_specks(mesh: &Mesh, share: f64) -> Mesh {
+    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    fn root(parent: &mut [u32], mut i: u32) -> u32 {
+        while parent[i as usize] != i {
+            parent[i as usize] = parent[parent[i as usize] as usize];
+            i = parent[i as usize];
+        }
+        i
+    }
+    for t in &mesh.triangles {
+        for &other in &t[1..] {
+            let (a, b) = (root(&mut parent, t[0]), root(&mut parent, other));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let roots: Vec<u32> = (0..mesh.positions.len() as u32).map(|i| root(&mut parent, i)).collect();
+    let mut sizes = vec![0_u32; mesh.positions.len()];
+    roots.iter().for_each(|&r| sizes[r as usize] += 1);
+    let least = share * f64::from(sizes.iter().copied().max().unwrap_or(0));
+    let big = |t: &&[u32; 3]| f64::from(sizes[roots[t[0] as usize] as usize]) >= least;
+    compacted(mesh, mesh.triangles.iter().filter(big).copied().collect())
+}
+
+/// The mesh of these triangles, without vertices that none of them uses.
+fn compacted(mesh: &Mesh, mut triangles: Vec<[u32; 3]>) -> Mesh {
+    let mut used = vec![false; mesh.positions.len()];
+    triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
+    let mut names = vec![0_u32; used.len()];
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    for i in (0..used.len()).filter(|&i| used[i]) {
+        names[i] = positions.len() as u32;
+        positions.push(mesh.positions[i]);
+        normals.push(mesh.normals[i]);
+    }
+    triangles.iter_mut().flatten().for_each(|i| *i = names[*i as usize]);
+    Mesh { positions, normals, triangles }
+}
+
+fn edge_lengths(mesh: &Mesh) -> Vec<f32> {
+    let length = |a: u32, b: u32| mesh.positions[a as usize].distance(mesh.positions[b as usize]);
+    mesh.triangles.iter().flat_map(|t| [length(t[0], t[1]), length(t[1], t[2]), length(t[2], t[0])]).collect()
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }

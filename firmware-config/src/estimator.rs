@@ -77,6 +77,8 @@ section! {
         refine_poses: Switch = Switch::Auto, [()], "", "";
         /// Mesh regularisation: target edge as a multiple of the median edge; 0 keeps the mesh as it is.
         regularise: f64 = 1.0, [0.0..=8.0], "median edges", "";
+        /// Components with a smaller share of the largest component's vertices are specks and go.
+        speck_share: f64 = 0.005, [0.0..=1.0], "", "";
         /// Weight of colour in the segmentation distance.
         segment_color: f64 = 1.0, [0.0..=100.0], "", "w1, Eq. (6)";
         /// Weight of concavity in the segmentation distance.

@@ -1,0 +1,274 @@
+//! A triangle mesh that can be edited: split, collapse, flip. Edges with more than two triangles are left alone.
+
+use glam::Vec3;
+
+/// Triangles of a vertex are kept in a list, so that no orientation or manifoldness is assumed.
+pub struct Surface {
+    /// Vertex positions; vertices without triangles are dead.
+    pub positions: Vec<Vec3>,
+    triangles: Vec<Option<[u32; 3]>>,
+    rings: Vec<Vec<u32>>,
+}
+
+impl Surface {
+    /// Takes triangles with valid, distinct corners.
+    pub fn new(positions: Vec<Vec3>, triangles: &[[u32; 3]]) -> Self {
+        let mut rings = vec![Vec::new(); positions.len()];
+        for (t, corners) in triangles.iter().enumerate() {
+            for &c in corners {
+                rings[c as usize].push(t as u32);
+            }
+        }
+        Self { positions, triangles: triangles.iter().map(|t| Some(*t)).collect(), rings }
+    }
+
+    /// The triangles that are left.
+    pub fn triangles(&self) -> Vec<[u32; 3]> {
+        self.triangles.iter().copied().flatten().collect()
+    }
+
+    /// Splits edges longer than `longest` at their middle, longest edge of a triangle first, up to `limit` vertices.
+    pub fn split_long(&mut self, longest: f32, limit: usize) {
+        let mut t = 0;
+        while t < self.triangles.len() && self.positions.len() < limit {
+            let Some(c) = self.triangles[t] else {
+                t += 1;
+                continue;
+            };
+            let (length, a, b) = [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])]
+                .map(|(a, b)| (self.length(a, b), a, b))
+                .into_iter()
+                .fold((0.0, 0, 0), |best, e| if e.0 > best.0 { e } else { best });
+            if length > longest {
+                self.split(a, b);
+            } else {
+                t += 1;
+            }
+        }
+    }
+
+    fn split(&mut self, a: u32, b: u32) {
+        let middle = self.positions.len() as u32;
+        self.positions.push(0.5 * (self.positions[a as usize] + self.positions[b as usize]));
+        self.rings.push(Vec::new());
+        for t in self.shared(a, b) {
+            let Some(corners) = self.triangles[t as usize] else { continue };
+            let new = self.triangles.len() as u32;
+            self.triangles.push(Some(corners.map(|c| if c == a { middle } else { c })));
+            self.triangles[t as usize] = Some(corners.map(|c| if c == b { middle } else { c }));
+            let far = corners.into_iter().find(|&c| c != a && c != b);
+            self.rings[b as usize].iter_mut().filter(|r| **r == t).for_each(|r| *r = new);
+            self.rings[middle as usize].extend([t, new]);
+            if let Some(far) = far {
+                self.rings[far as usize].push(new);
+            }
+        }
+    }
+
+    /// Collapses edges shorter than `shortest` where that keeps the surface's topology and turns no triangle over, and
+    /// makes no edge longer than `longest`.
+    pub fn collapse_short(&mut self, shortest: f32, longest: f32) {
+        for t in 0..self.triangles.len() {
+            let Some(c) = self.triangles[t] else { continue };
+            for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
+                if self.length(a, b) < shortest && self.collapse(a, b, longest) {
+                    break;
+                }
+            }
+        }
+    }
+
+    fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
+        let shared = self.shared(a, b);
+        let (on_a, on_b) = (self.on_border(a), self.on_border(b));
+        // Pinching two borders together, or an edge of three triangles.
+        if shared.is_empty() || shared.len() > 2 || (on_a && on_b && shared.len() == 2) {
+            return false;
+        }
+        let (na, nb) = (self.neighbours(a), self.neighbours(b));
+        if na.iter().filter(|n| nb.binary_search(n).is_ok()).count() != shared.len() {
+            return false;
+        }
+        let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
+        // A border keeps its place.
+        let target = match (on_a, on_b) {
+            (true, false) => pa,
+            (false, true) => pb,
+            _ => 0.5 * (pa + pb),
+        };
+        if on_a && on_b && !(self.border_is_straight(a, b) && self.border_is_straight(b, a)) {
+            return false;
+        }
+        let far = |n: &[u32]| n.iter().any(|&k| self.positions[k as usize].distance(target) > longest);
+        if far(&na) || far(&nb) {
+            return false;
+        }
+        for &(v, other) in &[(a, b), (b, a)] {
+            for &t in &self.rings[v as usize] {
+                let Some(corners) = self.triangles[t as usize] else { continue };
+                if corners.contains(&other) {
+                    continue;
+                }
+                let old = corners.map(|c| self.positions[c as usize]);
+                let new = corners.map(|c| if c == v { target } else { self.positions[c as usize] });
+                if !keeps_side(old, new) {
+                    return false;
+                }
+            }
+        }
+        for t in shared {
+            self.remove(t);
+        }
+        let moved = std::mem::take(&mut self.rings[b as usize]);
+        for t in moved {
+            if let Some(corners) = &mut self.triangles[t as usize] {
+                corners.iter_mut().filter(|c| **c == b).for_each(|c| *c = a);
+                self.rings[a as usize].push(t);
+            }
+        }
+        self.positions[a as usize] = target;
+        true
+    }
+
+    fn remove(&mut self, t: u32) {
+        if let Some(corners) = self.triangles[t as usize].take() {
+            for c in corners {
+                self.rings[c as usize].retain(|&r| r != t);
+            }
+        }
+    }
+
+    /// Flips inner edges that are not Delaunay, where the surface is flat enough for either diagonal.
+    pub fn flip_edges(&mut self) {
+        for t in 0..self.triangles.len() {
+            let Some(c) = self.triangles[t] else { continue };
+            for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
+                if a < b && self.flip(a, b) {
+                    break;
+                }
+            }
+        }
+    }
+
+    fn flip(&mut self, a: u32, b: u32) -> bool {
+        let shared = self.shared(a, b);
+        let &[s, t] = shared.as_slice() else { return false };
+        let (Some(cs), Some(ct)) = (self.triangles[s as usize], self.triangles[t as usize]) else { return false };
+        // s runs along a → b, t along b → a.
+        let (s, t, cs, ct) = if runs_along(cs, a, b) { (s, t, cs, ct) } else { (t, s, ct, cs) };
+        if !runs_along(cs, a, b) || !runs_along(ct, b, a) {
+            return false;
+        }
+        let third = |t: [u32; 3]| t.into_iter().find(|&x| x != a && x != b);
+        let (Some(c), Some(d)) = (third(cs), third(ct)) else { return false };
+        if c == d || !self.shared(c, d).is_empty() {
+            return false;
+        }
+        let [pa, pb, pc, pd] = [a, b, c, d].map(|i| self.positions[i as usize]);
+        let cosine = |p: Vec3, q: Vec3, r: Vec3| (q - p).normalize_or_zero().dot((r - p).normalize_or_zero());
+        // Opposite angles of more than 180° together: their cosines sum below zero.
+        if cosine(pc, pa, pb) + cosine(pd, pa, pb) > -1e-3 {
+            return false;
+        }
+        let (one, two) = ([pa, pd, pc], [pd, pb, pc]);
+        let before = normal([pa, pb, pc]) + normal([pb, pa, pd]);
+        let flat = normal([pa, pb, pc]).normalize_or_zero().dot(normal([pb, pa, pd]).normalize_or_zero()) > 0.9;
+        if !flat || normal(one).dot(before) <= 0.0 || normal(two).dot(before) <= 0.0 {
+            return false;
+        }
+        self.triangles[s as usize] = Some([a, d, c]);
+        self.triangles[t as usize] = Some([d, b, c]);
+        self.rings[b as usize].retain(|&r| r != s);
+        self.rings[a as usize].retain(|&r| r != t);
+        self.rings[d as usize].push(s);
+        self.rings[c as usize].push(t);
+        true
+    }
+
+    /// Where every vertex would go to be evenly spaced, within its tangent plane; borders and creases stay.
+    pub fn relaxed(&self, step: f32) -> Vec<Vec3> {
+        (0..self.positions.len() as u32)
+            .map(|i| {
+                let p = self.positions[i as usize];
+                let ring = &self.rings[i as usize];
+                if ring.is_empty() || self.on_border(i) {
+                    return p;
+                }
+                let normals = ring.iter().filter_map(|&t| self.triangles[t as usize]);
+                let normals: Vec<Vec3> = normals.map(|t| normal(t.map(|c| self.positions[c as usize]))).collect();
+                let Some(mean) = normals.iter().sum::<Vec3>().try_normalize() else { return p };
+                if normals.iter().any(|n| n.normalize_or_zero().dot(mean) < 0.7) {
+                    return p;
+                }
+                let neighbours = self.neighbours(i);
+                let centre = neighbours.iter().map(|&k| self.positions[k as usize]).sum::<Vec3>();
+                let shift = centre / neighbours.len() as f32 - p;
+                p + step * (shift - mean * shift.dot(mean))
+            })
+            .collect()
+    }
+
+    /// Unit normal of every vertex; zero where it has none.
+    pub fn normals(&self) -> Vec<Vec3> {
+        let mut sums = vec![Vec3::ZERO; self.positions.len()];
+        for t in self.triangles.iter().flatten() {
+            let n = normal(t.map(|c| self.positions[c as usize]));
+            t.iter().for_each(|&c| sums[c as usize] += n);
+        }
+        sums.into_iter().map(Vec3::normalize_or_zero).collect()
+    }
+
+    fn length(&self, a: u32, b: u32) -> f32 {
+        self.positions[a as usize].distance(self.positions[b as usize])
+    }
+
+    fn shared(&self, a: u32, b: u32) -> Vec<u32> {
+        let has = |t: &u32| self.triangles[*t as usize].is_some_and(|c| c.contains(&b));
+        self.rings[a as usize].iter().copied().filter(has).collect()
+    }
+
+    /// Neighbours of a vertex, ascending.
+    fn neighbours(&self, a: u32) -> Vec<u32> {
+        let corners = self.rings[a as usize].iter().filter_map(|&t| self.triangles[t as usize]).flatten();
+        let mut out: Vec<u32> = corners.filter(|&c| c != a).collect();
+        out.sort_unstable();
+        out.dedup();
+        out
+    }
+
+    /// True where the triangles do not close to a full fan.
+    fn on_border(&self, a: u32) -> bool {
+        let ring = &self.rings[a as usize];
+        let mut corners: Vec<u32> =
+            ring.iter().filter_map(|&t| self.triangles[t as usize]).flatten().filter(|&c| c != a).collect();
+        corners.sort_unstable();
+        !corners.chunks(2).all(|p| p.len() == 2 && p[0] == p[1])
+            || corners.chunks(2).collect::<Vec<_>>().windows(2).any(|w| w[0][0] == w[1][0])
+    }
+
+    /// Removing `b` from the border that runs on from `a` cuts no corner.
+    fn border_is_straight(&self, a: u32, b: u32) -> bool {
+        let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
+        let next = self.neighbours(b).into_iter().find(|&n| n != a && self.shared(b, n).len() == 1);
+        next.is_some_and(|n| {
+            let pn = self.positions[n as usize];
+            (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > 0.8
+        })
+    }
+}
+
+fn normal([a, b, c]: [Vec3; 3]) -> Vec3 {
+    (b - a).cross(c - a)
+}
+
+fn runs_along(t: [u32; 3], a: u32, b: u32) -> bool {
+    (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b)
+}
+
+/// A moved triangle still looks the same way and is no sliver.
+fn keeps_side(old: [Vec3; 3], new: [Vec3; 3]) -> bool {
+    let (before, after) = (normal(old), normal(new));
+    let longest = (new[1] - new[0]).length_squared().max((new[2] - new[1]).length_squared());
+    let longest = longest.max((new[0] - new[2]).length_squared());
+    after.length() > 0.1 * longest && before.normalize_or_zero().dot(after.normalize_or_zero()) > 0.7
+}
