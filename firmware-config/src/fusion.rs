@@ -7,6 +7,8 @@ section! {
     FusionConfig = "fusion" {
         /// Edge length of a voxel at start; coarsened by factors of two when the pool fills.
         voxel_size_m: f64 = 0.005, [0.001..=0.1], "m", "";
+        /// Largest voxel size that coarsening may reach.
+        max_voxel_size_m: f64 = 0.04, [0.001..=0.4], "m", "";
         /// Truncation distance of the signed distance, in voxels.
         truncation_voxels: f64 = 4.0, [2.0..=20.0], "voxels", "";
         /// Voxel blocks (8³ voxels, 2 KiB each) in the pool: 65536 = 128 MiB.
@@ -17,12 +19,44 @@ section! {
         min_depth_m: f64 = 0.35, [0.05..=2.0], "m", "";
         /// Farthest depth used.
         max_depth_m: f64 = 4.0, [0.5..=10.0], "m", "";
+        /// Steepest depth slope accepted, as the tangent of the angle between view ray and normal; steeper pixels are grazing or flying.
+        max_slope: f64 = 5.0, [1.0..=100.0], "", "";
+        /// Largest weight a voxel collects, in frames seen from 1 m.
+        max_weight: f64 = 100.0, [4.0..=1000.0], "frames", "";
         /// Voxels with a lower weight give no surface.
-        min_weight: f64 = 3.0, [0.0..=64.0], "", "";
+        min_weight: f64 = 3.0, [0.0..=64.0], "frames", "";
+        /// Connected pieces of the mesh with fewer triangles are dropped.
+        min_component_triangles: u32 = 200, [0..=1000000], "triangles", "";
+        /// Weight of the photometric term of tracking against the geometric one.
+        photometric_weight: f64 = 1.0, [0.0..=100.0], "", "";
+        /// Standard deviation of a grey value, of 255, for the photometric term.
+        photometric_sigma: f64 = 6.0, [0.5..=64.0], "", "";
+        /// Standard deviation of the constant-velocity prediction, translation.
+        prior_sigma_m: f64 = 0.05, [0.001..=1.0], "m", "";
+        /// Standard deviation of the constant-velocity prediction, rotation.
+        prior_sigma_rad: f64 = 0.05, [0.001..=1.0], "rad", "";
+        /// A direction whose eigenvalue is below this share of the largest is unobserved: the motion prior holds it.
+        unobserved_below: f64 = 0.002, [0.0..=0.5], "", "";
+        /// Fastest motion that is believed.
+        max_speed_m_s: f64 = 4.5, [0.1..=20.0], "m/s", "";
+        /// Fastest turn that is believed.
+        max_turn_rad_s: f64 = 7.5, [0.1..=30.0], "rad/s", "";
+        /// Least share of the depth samples that must agree with the surface or the last frame for tracking to hold.
+        min_fit: f64 = 0.35, [0.01..=0.9], "", "";
+        /// Mean grey value (of 255) under which a colour frame counts as black.
+        black_below: f64 = 3.0, [0.0..=64.0], "", "";
+        /// Distance from the anchor frame at which tracking changes to another anchor, as a share of the median depth.
+        anchor_distance: f64 = 0.15, [0.01..=1.0], "", "";
+        /// Angle to the anchor frame at which tracking changes to another anchor.
+        anchor_angle_rad: f64 = 0.17, [0.01..=1.0], "rad", "";
+        /// Most anchor frames kept for tracking and relocalisation.
+        max_anchors: u32 = 256, [2..=4096], "", "";
         /// Least distance between keyframes; doubled for rooms.
         keyframe_spacing_m: f64 = 0.15, [0.01..=2.0], "m", "c1, Eq. (1)";
         /// Most keyframes a scan may hold.
         max_keyframes: u32 = 120, [1..=1000], "", "";
+        /// Views a surface point should get from the keyframes where the recording has them.
+        keyframe_views: u32 = 3, [1..=16], "", "";
         /// Witness frames kept aside.
         witnesses: u32 = 3, [0..=32], "", "";
     }

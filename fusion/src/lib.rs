@@ -1,8 +1,27 @@
 //! Tracking, bounded TSDF fusion, meshing and greedy keyframes (§3.1, first half).
 
+mod camera;
+mod extract;
+mod integrate;
+mod isa;
+mod keyframes;
+mod pyramid;
+mod relocalise;
+mod track;
+mod volume;
+
+use camera::Rig;
 use firmware_config::FusionConfig;
+use glam::DVec3;
+use integrate::Integrator;
+use keyframes::Candidates;
+use nalgebra::Vector6;
+use pyramid::Frame;
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose, RgbdFrame, Sensor, TimestampNs};
+use relocalise::Anchors;
+use track::{Alignment, Geometry, Reference, Scene, Step, Tracker};
+use volume::Volume;
 
 /// Why fusion could not go on.
 #[derive(Debug, thiserror::Error)]
@@ -54,29 +73,305 @@ pub struct FusionOutput {
     pub stats: CaptureStats,
 }
 
+/// Share of the tracking grid that must hold depth for a frame to be tracked at all.
+const MIN_VALID: f32 = 0.03;
+/// Longest gap between frames over which the last velocity is believed, seconds.
+const MAX_PREDICTION_S: f64 = 0.2;
+/// Anchors tried per frame when lost.
+const RELOCALISATION_TRIES: usize = 3;
+
+/// Frame to frame: coarse, wide.
+const COARSE: [Step; 2] = [
+    Step { level: 2, geometry: Geometry::Reference, rounds: 3, cut: 12.0 },
+    Step { level: 1, geometry: Geometry::Reference, rounds: 1, cut: 6.0 },
+];
+/// Frame to anchor and model: fine.
+const FINE: [Step; 2] = [
+    Step { level: 1, geometry: Geometry::Volume { stride: 2 }, rounds: 1, cut: 6.0 },
+    Step { level: 0, geometry: Geometry::Volume { stride: 1 }, rounds: 3, cut: 4.0 },
+];
+/// Frame to anchor when lost: coarse, from further away.
+const FIND: [Step; 2] = [
+    Step { level: 2, geometry: Geometry::Reference, rounds: 8, cut: 20.0 },
+    Step { level: 1, geometry: Geometry::Reference, rounds: 4, cut: 8.0 },
+];
+
 /// Fuses RGB-D frames into a surface.
-pub struct Fusion {}
+pub struct Fusion {
+    config: FusionConfig,
+    rig: Rig,
+    volume: Volume,
+    integrator: Integrator,
+    tracker: Tracker,
+    frame: Frame,
+    /// The last tracked frame, its pose and what tracking needs of it.
+    last: Frame,
+    reference: Reference,
+    last_stamp: TimestampNs,
+    /// Twist of the camera (translation, rotation) per second, camera axes.
+    velocity: Vector6<f64>,
+    anchors: Anchors,
+    anchor: usize,
+    candidates: Candidates,
+    up: Option<DVec3>,
+    state: Option<Tracking>,
+    trajectory: Vec<(TimestampNs, Pose)>,
+    stats: CaptureStats,
+    first_stamp: Option<TimestampNs>,
+}
 
 impl Fusion {
     /// Allocates the block pool and everything else whose size is fixed.
     ///
     /// # Errors
     /// The sensor's description makes no sense.
-    pub fn new(_sensor: &Sensor, _config: &FusionConfig) -> Result<Self, FusionError> {
-        unimplemented!()
+    pub fn new(sensor: &Sensor, config: &FusionConfig) -> Result<Self, FusionError> {
+        let rig = Rig::new(sensor)?;
+        Ok(Self {
+            config: config.clone(),
+            volume: Volume::new(config),
+            integrator: Integrator::new(config),
+            tracker: Tracker::default(),
+            frame: Frame::new(&rig),
+            last: Frame::new(&rig),
+            reference: Reference::default(),
+            last_stamp: 0,
+            velocity: Vector6::zeros(),
+            anchors: Anchors::new(config.max_anchors as usize),
+            anchor: 0,
+            candidates: Candidates::new(config),
+            up: None,
+            state: None,
+            trajectory: Vec::new(),
+            stats: CaptureStats::default(),
+            first_stamp: None,
+            rig,
+        })
+    }
+
+    /// Says where up is, in the colour camera's axes at the first frame (an accelerometer at rest points up). Without it, or
+    /// after the first tracked frame, the first camera's image-up is the world's +Z.
+    pub fn set_gravity(&mut self, up: DVec3) {
+        if up.is_finite() && up.length() > 1e-3 {
+            self.up = Some(up);
+        }
     }
 
     /// Tracks and integrates one frame.
     ///
     /// # Errors
     /// The frame's sizes are not the sensor's.
-    pub fn push(&mut self, _frame: &RgbdFrame) -> Result<FrameReport, FusionError> {
-        unimplemented!()
+    pub fn push(&mut self, frame: &RgbdFrame) -> Result<FrameReport, FusionError> {
+        self.check(frame)?;
+        let stamp = frame.color.timestamp_ns;
+        self.stats.pairs += 1;
+        let first_stamp = *self.first_stamp.get_or_insert(stamp);
+        self.stats.duration_s = stamp.saturating_sub(first_stamp) as f64 * 1e-9;
+
+        // Depth to points and normals, colour to a grey pyramid.
+        self.frame.fill(frame, &self.rig, &self.config);
+        // Where is the camera?
+        let found = match self.state {
+            _ if self.is_blind() => None,
+            None => Some(self.first_pose()),
+            Some(Tracking::Tracked) => self.track(stamp),
+            Some(Tracking::Lost) => self.relocalise(),
+        };
+        let Some(pose) = found else { return Ok(self.lose()) };
+        self.hold(&pose, stamp);
+        // Depth into the volume.
+        let world_from_depth = pose.compose(&self.rig.color_from_depth);
+        let integrated = self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth);
+        self.stats.blocks_refused += integrated.refused;
+        let coarsened = self.make_room();
+        // What the next frames are tracked against.
+        self.remember(&pose);
+        let keep = self.candidates.offer(&self.frame, &self.rig, &pose, stamp, &self.config);
+        std::mem::swap(&mut self.frame, &mut self.last);
+        Ok(FrameReport {
+            tracking: Tracking::Tracked,
+            world_from_camera: Some(pose),
+            keep,
+            blocks_used: self.volume.used() as u64,
+            coarsened,
+        })
     }
 
     /// Extracts the mesh and chooses the keyframes.
     #[must_use]
     pub fn finish(self) -> FusionOutput {
-        unimplemented!()
+        let least = self.config.min_component_triangles as usize;
+        let mesh = extract::extract(&self.volume, self.config.min_weight as f32, least);
+        let mut stats = self.stats;
+        stats.voxel_size_m = f64::from(self.volume.voxel_m());
+        stats.blocks_used = self.volume.used() as u64;
+        stats.blocks_total = self.volume.capacity() as u64;
+        let chosen = self.candidates.choose(&mesh, &self.rig, &self.config);
+        stats.keyframe_coverage = chosen.coverage;
+        FusionOutput {
+            mesh,
+            trajectory: self.trajectory,
+            keyframes: chosen.keyframes,
+            witnesses: chosen.witnesses,
+            stats,
+        }
     }
+
+    fn check(&self, frame: &RgbdFrame) -> Result<(), FusionError> {
+        let depth = (self.rig.depth.width, self.rig.depth.height);
+        let (d, c) = (&frame.depth, &frame.rgb);
+        if (d.width as usize, d.height as usize) != depth || d.depth.len() != depth.0 * depth.1 {
+            let text = format!("a depth frame of {} × {}, not {} × {}", d.width, d.height, depth.0, depth.1);
+            return Err(FusionError::BadFrame(text));
+        }
+        let color = self.rig.color_size;
+        if (c.width, c.height) != color || c.data.len() != 3 * color.0 as usize * color.1 as usize {
+            let text = format!("a colour frame of {} × {}, not {} × {}", c.width, c.height, color.0, color.1);
+            return Err(FusionError::BadFrame(text));
+        }
+        Ok(())
+    }
+
+    /// True if the frame shows nothing: a covered lens, a black picture, no depth.
+    fn is_blind(&self) -> bool {
+        self.frame.valid < MIN_VALID || self.frame.mean_grey < self.config.black_below as f32
+    }
+
+    fn first_pose(&self) -> Pose {
+        self.up.map_or_else(camera::world_from_first_camera, camera::level_world)
+    }
+
+    fn scene<'a>(&'a self, reference: &'a Reference) -> Scene<'a> {
+        Scene { frame: &self.frame, rig: &self.rig, reference, volume: &self.volume, config: &self.config }
+    }
+
+    /// Tracks from the last frame: prediction, rotation alone, frame to frame, frame to anchor and model.
+    fn track(&mut self, stamp: TimestampNs) -> Option<Pose> {
+        let last = self.reference.world_from_camera;
+        let dt = seconds(self.last_stamp, stamp);
+        let motion = if dt <= MAX_PREDICTION_S { self.velocity * dt } else { Vector6::zeros() };
+        let predicted = last.compose(&track::exp(&motion));
+        let mut tracker = std::mem::take(&mut self.tracker);
+
+        let turned = last.rotation.conjugate() * predicted.rotation;
+        let (camera_from_last, before, after) =
+            track::align_rotation(&self.frame, &self.last, &self.rig, turned.conjugate());
+        let mut starts = vec![predicted];
+        if after < 0.95 * before {
+            starts.push(Pose::new(last.rotation * camera_from_last.conjugate(), predicted.translation));
+        }
+        let coarse = starts
+            .iter()
+            .map(|start| tracker.align(&self.scene(&self.reference), start, &predicted, &COARSE))
+            .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
+        let fine = coarse.and_then(|coarse| {
+            let anchor = &self.anchors.get(self.anchor)?.reference;
+            Some((coarse, tracker.align(&self.scene(anchor), &coarse.world_from_camera, &predicted, &FINE)))
+        });
+        self.tracker = tracker;
+        let (coarse, fine) = fine?;
+        let pose = fine.world_from_camera;
+        let moved = track::log(&last.inverse().compose(&pose));
+        let dt = dt.max(1.0 / 60.0);
+        let possible = moved.fixed_rows::<3>(0).norm() <= self.config.max_speed_m_s * dt
+            && moved.fixed_rows::<3>(3).norm() <= self.config.max_turn_rad_s * dt;
+        tracing::debug!(?coarse, ?fine, possible, "tracked");
+        (possible && self.holds(&coarse, &fine)).then_some(pose)
+    }
+
+    /// True if enough of the frame agrees with the model, or, where the model is not known yet, with the last frame.
+    fn holds(&self, coarse: &Alignment, fine: &Alignment) -> bool {
+        let least = self.config.min_fit as f32;
+        let agreement = fine.fit / fine.overlap.max(1e-3);
+        fine.fit >= least || (coarse.fit >= least && agreement >= 0.6 && fine.overlap >= 0.1)
+    }
+
+    /// Looks for the camera near the last pose and near the anchors that look like the frame.
+    fn relocalise(&mut self) -> Option<Pose> {
+        let mut tracker = std::mem::take(&mut self.tracker);
+        let mut tries = vec![self.anchor];
+        tries.extend(self.anchors.alike(&self.frame, RELOCALISATION_TRIES));
+        let mut best: Option<(Alignment, usize)> = None;
+        for i in tries {
+            let Some(anchor) = self.anchors.get(i) else { continue };
+            let scene = self.scene(&anchor.reference);
+            let start = anchor.reference.world_from_camera;
+            let coarse = tracker.align(&scene, &start, &start, &FIND);
+            let start = coarse.world_from_camera;
+            let fine = tracker.align(&scene, &start, &start, &FINE);
+            tracing::debug!(i, ?coarse, ?fine, "relocalisation");
+            if best.as_ref().is_none_or(|(b, _)| fine.misfit() < b.misfit()) {
+                best = Some((fine, i));
+            }
+        }
+        self.tracker = tracker;
+        let (found, anchor) = best?;
+        // A wrong place must not be fused: more agreement is asked of it than of a tracked frame.
+        let strict = (1.5 * self.config.min_fit as f32).min(0.9);
+        if found.fit < strict || found.fit < 0.7 * found.overlap || found.photo_seen < 0.3 || found.photo_error > 20.0 {
+            return None;
+        }
+        self.anchor = anchor;
+        Some(found.world_from_camera)
+    }
+
+    fn lose(&mut self) -> FrameReport {
+        self.stats.lost_pairs += 1;
+        if self.state == Some(Tracking::Tracked) {
+            self.stats.losses += 1;
+            self.state = Some(Tracking::Lost);
+            self.velocity = Vector6::zeros();
+        }
+        FrameReport {
+            tracking: Tracking::Lost,
+            world_from_camera: None,
+            keep: None,
+            blocks_used: self.volume.used() as u64,
+            coarsened: false,
+        }
+    }
+
+    fn hold(&mut self, pose: &Pose, stamp: TimestampNs) {
+        self.stats.tracked_pairs += 1;
+        let dt = seconds(self.last_stamp, stamp);
+        self.velocity = match self.state {
+            Some(Tracking::Tracked) if dt > 1e-3 => {
+                track::log(&self.reference.world_from_camera.inverse().compose(pose)) / dt
+            }
+            _ => Vector6::zeros(),
+        };
+        self.stats.relocalisations += u64::from(self.state == Some(Tracking::Lost));
+        self.state = Some(Tracking::Tracked);
+        self.last_stamp = stamp;
+        self.trajectory.push((stamp, *pose));
+    }
+
+    /// Coarsens the volume when the pool is nearly full and a coarser voxel is allowed.
+    fn make_room(&mut self) -> bool {
+        let full = self.volume.used() as f64 >= self.config.coarsen_at * self.volume.capacity() as f64;
+        if !full || f64::from(self.volume.voxel_m()) * 2.0 > self.config.max_voxel_size_m * 1.001 {
+            return false;
+        }
+        self.volume.coarsen();
+        self.stats.coarsenings += 1;
+        true
+    }
+
+    /// Keeps the frame as the next one's reference, and changes to another anchor where this one is too far away.
+    fn remember(&mut self, pose: &Pose) {
+        self.reference.fill(&self.frame, &self.rig, pose, 1..camera::LEVELS);
+        let (distance, angle) = (self.config.anchor_distance, self.config.anchor_angle_rad);
+        match self.anchors.nearest(pose, distance, angle) {
+            Some((i, d)) if d <= 1.0 => self.anchor = i,
+            _ => {
+                let mut reference = Reference::default();
+                reference.fill(&self.frame, &self.rig, pose, 0..camera::LEVELS);
+                self.anchor = self.anchors.add(reference, &self.frame);
+            }
+        }
+    }
+}
+
+fn seconds(from: TimestampNs, to: TimestampNs) -> f64 {
+    to.saturating_sub(from) as f64 * 1e-9
 }
