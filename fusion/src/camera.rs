@@ -156,7 +156,6 @@ pub struct Rig {
     pub color_from_depth: Pose,
     pub depth_from_color: Pose,
     pub depth_unit_m: f32,
-    pub depth_to_color_offset_ns: i64,
     /// Pixels per row and rows of the colour image.
     pub color_size: (u32, u32),
 }
@@ -178,11 +177,8 @@ impl Rig {
         let depth = Pinhole::new(&sensor.depth);
         let grid_step = depth.width.div_ceil(160).max(1);
         let grey0 = color.reduced(grey_step);
-        let color_from_depth = if sensor.depth_registered {
-            Pose::IDENTITY
-        } else {
-            Pose::new(extrinsic.rotation, extrinsic.translation)
-        };
+        let color_from_depth =
+            if sensor.depth_registered { Pose::IDENTITY } else { Pose::new(extrinsic.rotation, extrinsic.translation) };
         Ok(Self {
             grey: [grey0, grey0.reduced(2), grey0.reduced(4)],
             grey_step,
@@ -199,7 +195,6 @@ impl Rig {
             color_from_depth,
             depth_from_color: color_from_depth.inverse(),
             depth_unit_m: sensor.depth_unit_m as f32,
-            depth_to_color_offset_ns: sensor.depth_to_color_offset_ns,
             color_size: (sensor.color.intrinsics.width, sensor.color.intrinsics.height),
         })
     }

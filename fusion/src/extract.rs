@@ -17,14 +17,22 @@ const PAD: usize = EDGE + 1;
 
 /// The edges of a cube: start corner and axis; corner bits are x, y, z.
 const EDGES: [(usize, usize); 12] = [
-    (0, 0), (2, 0), (4, 0), (6, 0), //
-    (0, 1), (1, 1), (4, 1), (5, 1), //
-    (0, 2), (1, 2), (2, 2), (3, 2),
+    (0, 0),
+    (2, 0),
+    (4, 0),
+    (6, 0), //
+    (0, 1),
+    (1, 1),
+    (4, 1),
+    (5, 1), //
+    (0, 2),
+    (1, 2),
+    (2, 2),
+    (3, 2),
 ];
 
 /// Corners of each face, counter-clockwise seen from outside.
-const FACES: [[usize; 4]; 6] =
-    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
 
 /// For each sign pattern (bit = corner inside) the triangles as triples of edges.
 fn case_table() -> Vec<Vec<[usize; 3]>> {
@@ -81,9 +89,8 @@ impl BlockEdges {
     fn vertex(&self, at: usize, axis: usize) -> Option<u32> {
         let bit = axis * VOXELS + at;
         let (word, mask) = (bit / 64, 1u64 << (bit % 64));
-        (self.bits[word] & mask != 0).then(|| {
-            self.first + u32::from(self.before[word]) + (self.bits[word] & (mask - 1)).count_ones()
-        })
+        (self.bits[word] & mask != 0)
+            .then(|| self.first + u32::from(self.before[word]) + (self.bits[word] & (mask - 1)).count_ones())
     }
 }
 
@@ -164,7 +171,6 @@ fn vertices(volume: &Volume, coord: BlockCoord, min_weight: u16) -> (BlockEdges,
             if !(padded.known[a] && padded.known[b]) || (sa < 0.0) == (sb < 0.0) {
                 continue;
             }
-            // A jump from free to far behind is no surface but the edge of what was seen.
             let bit = axis * VOXELS + v;
             edges.bits[bit / 64] |= 1 << (bit % 64);
             let f = sa / (sa - sb);
@@ -234,7 +240,7 @@ fn triangles(
         let vertex = |edge: usize| {
             let (c, axis) = EDGES[edge];
             let (x, y, z) = (x + (c & 1), y + (c >> 1 & 1), z + (c >> 2));
-            let octant = x / EDGE | (y / EDGE) << 1 | (z / EDGE) << 2;
+            let octant = (x / EDGE) | ((y / EDGE) << 1) | ((z / EDGE) << 2);
             let inner = ((z % EDGE) * EDGE + y % EDGE) * EDGE + x % EDGE;
             neighbours[octant].and_then(|b| b.vertex(inner, axis))
         };

@@ -5,7 +5,7 @@ use crate::pyramid::Frame;
 use firmware_config::FusionConfig;
 use glam::Vec3;
 use recordings::scan::{FrameId, KeptFrame};
-use recordings::types::{Mesh, Pose, TimestampNs};
+use recordings::types::{Mesh, Pose};
 
 /// Vertices that coverage is judged on, at most.
 const JUDGED_VERTICES: usize = 30_000;
@@ -27,7 +27,6 @@ const MIN_GAIN: f32 = 0.002;
 struct Candidate {
     id: FrameId,
     index: usize,
-    stamp: TimestampNs,
     pose: Pose,
     sharpness: f32,
     replaced: u32,
@@ -70,14 +69,7 @@ impl Candidates {
     }
 
     /// Decides whether a tracked frame becomes a candidate.
-    pub fn offer(
-        &mut self,
-        frame: &Frame,
-        rig: &Rig,
-        pose: &Pose,
-        stamp: TimestampNs,
-        config: &FusionConfig,
-    ) -> Option<FrameId> {
+    pub fn offer(&mut self, frame: &Frame, rig: &Rig, pose: &Pose, config: &FusionConfig) -> Option<FrameId> {
         self.depth_sum += f64::from(frame.median_depth);
         self.frames += 1;
         let nearest = self
@@ -92,7 +84,7 @@ impl Candidates {
             self.next_id += 1;
             let depth_mm = frame.grid.iter().map(|s| (s.p.z * 1000.0) as u16).collect();
             let index = self.frames as usize;
-            (id, Candidate { id, index, stamp, pose: *pose, sharpness, replaced, depth_mm })
+            (id, Candidate { id, index, pose: *pose, sharpness, replaced, depth_mm })
         };
         debug_assert_eq!(frame.grid.len(), rig.grid.width * rig.grid.height);
         match nearest {
@@ -219,7 +211,7 @@ fn greedy(list: &[Candidate], views: &[Vec<u8>], spacing: f64, config: &FusionCo
     for strict in [true, false] {
         while chosen.len() < config.max_keyframes as usize {
             let gain = |c: usize| -> f32 {
-                let gain: f32 = views[c]
+                views[c]
                     .iter()
                     .zip(&count)
                     .map(|(seen, n)| {
@@ -227,21 +219,19 @@ fn greedy(list: &[Candidate], views: &[Vec<u8>], spacing: f64, config: &FusionCo
                         let quality = f32::from(*seen) * 0.5;
                         if asked { quality / (1 << (*n).min(16)) as f32 } else { 0.0 }
                     })
-                    .sum();
-                gain
+                    .sum()
             };
             let best = (0..list.len())
                 .filter(|c| !chosen.contains(c))
                 .filter(|c| {
                     !strict
-                        || chosen.iter().all(|k| {
-                            (list[*k].pose.translation - list[*c].pose.translation).length() >= spacing
-                        })
+                        || chosen
+                            .iter()
+                            .all(|k| (list[*k].pose.translation - list[*c].pose.translation).length() >= spacing)
                 })
                 .map(|c| (gain(c), c))
                 .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)));
-            let Some((gain, c)) = best.filter(|(gain, _)| *gain > least || chosen.is_empty()) else { break };
-            let _ = gain;
+            let Some((_, c)) = best.filter(|(gain, _)| *gain > least || chosen.is_empty()) else { break };
             chosen.push(c);
             for (n, seen) in count.iter_mut().zip(&views[c]) {
                 *n += usize::from(*seen > 0);

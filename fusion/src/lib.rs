@@ -169,24 +169,26 @@ impl Fusion {
         self.stats.duration_s = stamp.saturating_sub(first_stamp) as f64 * 1e-9;
 
         // Depth to points and normals, colour to a grey pyramid.
-        self.frame.fill(frame, &self.rig, &self.config);
+        stage("preprocess", || self.frame.fill(frame, &self.rig, &self.config));
         // Where is the camera?
-        let found = match self.state {
+        let found = stage("track", || match self.state {
             _ if self.is_blind() => None,
             None => Some(self.first_pose()),
             Some(Tracking::Tracked) => self.track(stamp),
             Some(Tracking::Lost) => self.relocalise(),
-        };
+        });
         let Some(pose) = found else { return Ok(self.lose()) };
         self.hold(&pose, stamp);
         // Depth into the volume.
         let world_from_depth = pose.compose(&self.rig.color_from_depth);
-        let integrated = self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth);
-        self.stats.blocks_refused += integrated.refused;
+        let refused = stage("integrate", || {
+            self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth)
+        });
+        self.stats.blocks_refused += refused;
         let coarsened = self.make_room();
         // What the next frames are tracked against.
-        self.remember(&pose);
-        let keep = self.candidates.offer(&self.frame, &self.rig, &pose, stamp, &self.config);
+        stage("remember", || self.remember(&pose));
+        let keep = stage("keyframes", || self.candidates.offer(&self.frame, &self.rig, &pose, &self.config));
         std::mem::swap(&mut self.frame, &mut self.last);
         Ok(FrameReport {
             tracking: Tracking::Tracked,
@@ -370,6 +372,19 @@ impl Fusion {
             }
         }
     }
+}
+
+/// Runs a stage inside a tracing span of its name, by which benchmarks tell the stages apart.
+fn stage<T>(name: &'static str, f: impl FnOnce() -> T) -> T {
+    let _span = match name {
+        "preprocess" => tracing::debug_span!("preprocess"),
+        "track" => tracing::debug_span!("track"),
+        "integrate" => tracing::debug_span!("integrate"),
+        "remember" => tracing::debug_span!("remember"),
+        _ => tracing::debug_span!("keyframes"),
+    }
+    .entered();
+    f()
 }
 
 fn seconds(from: TimestampNs, to: TimestampNs) -> f64 {

@@ -263,11 +263,8 @@ impl Frame {
         }
         self.valid = self.depths.len() as f32 / self.grid.len() as f32;
         let middle = self.depths.len() / 2;
-        self.median_depth = if self.depths.is_empty() {
-            0.0
-        } else {
-            *self.depths.select_nth_unstable_by(middle, f32::total_cmp).1
-        };
+        self.median_depth =
+            if self.depths.is_empty() { 0.0 } else { *self.depths.select_nth_unstable_by(middle, f32::total_cmp).1 };
     }
 }
 

@@ -121,8 +121,7 @@ struct System {
 }
 
 impl System {
-    const ZERO: Self =
-        Self { h: [[0.0; UNKNOWNS]; UNKNOWNS], b: [0.0; UNKNOWNS], count: 0, inliers: 0, absolute: 0.0 };
+    const ZERO: Self = Self { h: [[0.0; UNKNOWNS]; UNKNOWNS], b: [0.0; UNKNOWNS], count: 0, inliers: 0, absolute: 0.0 };
 
     #[inline(always)]
     fn add<const N: usize>(&mut self, j: &[f32; N], r: f32, w: f32) {
@@ -130,19 +129,19 @@ impl System {
         let j = j.map(f64::from);
         for a in 0..N {
             let wj = w * j[a];
-            for c in a..N {
-                self.h[a][c] += wj * j[c];
+            for (h, jc) in self.h[a][a..N].iter_mut().zip(&j[a..]) {
+                *h += wj * jc;
             }
             self.b[a] -= wj * r;
         }
     }
 
-    fn merge(mut self, other: &Self, weight: f64) -> Self {
+    fn merge(mut self, other: &Self) -> Self {
         for a in 0..UNKNOWNS {
             for c in a..UNKNOWNS {
-                self.h[a][c] += weight * other.h[a][c];
+                self.h[a][c] += other.h[a][c];
             }
-            self.b[a] += weight * other.b[a];
+            self.b[a] += other.b[a];
         }
         self.count += other.count;
         self.inliers += other.inliers;
@@ -154,7 +153,7 @@ impl System {
 /// Sums over points in fixed chunks, so that the result does not depend on the number of threads.
 fn sum_chunks<T: Sync>(points: &[T], f: impl Fn(&[T]) -> System + Sync + Send) -> System {
     let parts: Vec<System> = points.par_chunks(CHUNK).map(f).collect();
-    parts.iter().fold(System::ZERO, |sum, part| sum.merge(part, 1.0))
+    parts.iter().fold(System::ZERO, |sum, part| sum.merge(part))
 }
 
 /// Brightness between reference and frame: grey = gain · reference + offset.
@@ -376,19 +375,11 @@ pub struct Scene<'a> {
 
 impl Tracker {
     /// Aligns the frame, starting at `start`; `predicted` is the motion prior's pose, which holds unobserved directions.
-    pub fn align(
-        &mut self,
-        scene: &Scene,
-        start: &Pose,
-        predicted: &Pose,
-        schedule: &[Step],
-    ) -> Alignment {
+    pub fn align(&mut self, scene: &Scene, start: &Pose, predicted: &Pose, schedule: &[Step]) -> Alignment {
         let Scene { frame, rig, reference, volume, config } = *scene;
         let mut pose = *start;
-        let mut brightness = Brightness {
-            gain: ((frame.mean_grey + 1.0) / (reference.mean_grey + 1.0)).clamp(0.2, 5.0),
-            offset: 0.0,
-        };
+        let mut brightness =
+            Brightness { gain: ((frame.mean_grey + 1.0) / (reference.mean_grey + 1.0)).clamp(0.2, 5.0), offset: 0.0 };
         let mut out = Alignment {
             world_from_camera: pose,
             fit: 0.0,
@@ -403,21 +394,17 @@ impl Tracker {
             let points = &reference.photo[step.level];
             for _ in 0..step.rounds {
                 let asked = match step.geometry {
-                    Geometry::Reference => {
-                        associate_reference(frame, rig, reference, &pose, &mut self.associations)
-                    }
+                    Geometry::Reference => associate_reference(frame, rig, reference, &pose, &mut self.associations),
                     Geometry::Volume { stride } => {
                         associate_volume(frame, volume, &pose, stride, &mut self.associations)
                     }
                 };
                 for _ in 0..2 {
                     let camera_from_reference = pose.inverse().compose(&reference.world_from_camera);
-                    let photo =
-                        photometric(frame, rig, step.level, points, &camera_from_reference, brightness, sigma);
+                    let photo = photometric(frame, rig, step.level, points, &camera_from_reference, brightness, sigma);
                     let geo = geometric(&self.associations, &pose, step.cut);
                     let offset = log(&pose.inverse().compose(predicted));
-                    let system = geo.merge(&photo, config.photometric_weight);
-                    let solution = solve(&system, &offset, f64::from(frame.median_depth), config);
+                    let solution = solve(&geo, &photo, &offset, f64::from(frame.median_depth), config);
                     pose = pose.compose(&exp(&solution.delta));
                     brightness.gain = (brightness.gain + solution.gain).clamp(0.2, 5.0);
                     brightness.offset = (brightness.offset + solution.offset).clamp(-128.0, 128.0);
@@ -445,49 +432,52 @@ struct Solution {
     condition: f64,
 }
 
-/// Solves for the step. Directions whose eigenvalue is too small against the largest are not observed: there the
-/// measurements are dropped and the prior (`offset`: from the present pose to the predicted one) alone decides.
-fn solve(system: &System, offset: &Vector6<f64>, depth: f64, config: &FusionConfig) -> Solution {
-    let at = |a: usize, c: usize| if a <= c { system.h[a][c] } else { system.h[c][a] };
-    // Brightness gets a weak prior too, for frames without photometric points.
-    let hbb = SMatrix::<f64, 2, 2>::from_fn(|a, c| at(6 + a, 6 + c) + if a == c { 1e-3 } else { 0.0 });
-    let hpb = SMatrix::<f64, 6, 2>::from_fn(|a, c| at(a, 6 + c));
-    let bb = SVector::<f64, 2>::new(system.b[6], system.b[7]);
-    let bp = Vector6::from_fn(|a, _| system.b[a]);
-    let inverse = hbb.try_inverse().unwrap_or_else(SMatrix::zeros);
-    let gain = hpb * inverse;
-    let h = Matrix6::from_fn(at) - gain * hpb.transpose();
-    let b = bp - gain * bb;
-
+/// Solves for the step. Directions in which the geometry's eigenvalue is too small against its largest are not observed
+/// by it (noise in the normals alone gives some): there its measurements are dropped, and texture and the prior
+/// (`offset`: from the present pose to the predicted one) decide.
+fn solve(geo: &System, photo: &System, offset: &Vector6<f64>, depth: f64, config: &FusionConfig) -> Solution {
     // Rotations are measured by the length they move a point at the median depth.
     let lever = depth.max(0.1);
     let scale = Vector6::new(1.0, 1.0, 1.0, 1.0 / lever, 1.0 / lever, 1.0 / lever);
-    let scaled = Matrix6::from_fn(|a, c| h[(a, c)] * scale[a] * scale[c]);
-    let eigen = scaled.symmetric_eigen();
+    let symmetric = |s: &System, a: usize, c: usize| s.h[a.min(c)][a.max(c)];
+
+    let eigen = Matrix6::from_fn(|a, c| symmetric(geo, a, c) * scale[a] * scale[c]).symmetric_eigen();
     let largest = eigen.eigenvalues.max().max(1e-9);
-    let threshold = config.unobserved_below * largest;
-    let target = offset.component_div(&scale);
-    let rhs = b.component_mul(&scale);
+    let rhs = Vector6::from_fn(|a, _| geo.b[a] * scale[a]);
+    let mut h = Matrix6::zeros();
+    let mut b = Vector6::zeros();
+    for i in 0..6 {
+        let axis = eigen.eigenvectors.column(i).into_owned();
+        if eigen.eigenvalues[i] > config.unobserved_below * largest {
+            h += axis * axis.transpose() * eigen.eigenvalues[i];
+            b += axis * axis.dot(&rhs);
+        }
+    }
+
+    // The photometric term, its two brightness unknowns eliminated (they get a weak prior, for frames without texture).
+    let weight = config.photometric_weight;
+    let hbb =
+        SMatrix::<f64, 2, 2>::from_fn(|a, c| weight * symmetric(photo, 6 + a, 6 + c) + if a == c { 1e-3 } else { 0.0 });
+    let hpb = SMatrix::<f64, 6, 2>::from_fn(|a, c| weight * photo.h[a][6 + c] * scale[a]);
+    let bb = SVector::<f64, 2>::new(photo.b[6], photo.b[7]) * weight;
+    let inverse = hbb.try_inverse().unwrap_or_else(SMatrix::zeros);
+    let gain = hpb * inverse;
+    h += Matrix6::from_fn(|a, c| weight * symmetric(photo, a, c) * scale[a] * scale[c]) - gain * hpb.transpose();
+    b += Vector6::from_fn(|a, _| weight * photo.b[a] * scale[a]) - gain * bb;
+
     let prior = Vector6::from_fn(|a, _| {
         let sigma = if a < 3 { config.prior_sigma_m } else { config.prior_sigma_rad * lever };
         1.0 / (sigma * sigma)
     });
-    let mut seen = Matrix6::zeros();
-    let mut pull = Vector6::zeros();
-    for i in 0..6 {
-        let axis = eigen.eigenvectors.column(i).into_owned();
-        if eigen.eigenvalues[i] > threshold {
-            seen += axis * axis.transpose() * eigen.eigenvalues[i];
-            pull += axis * axis.dot(&rhs);
-        }
+    b += prior.component_mul(&offset.component_div(&scale));
+    let step = (h + Matrix6::from_diagonal(&prior)).cholesky().map_or_else(Vector6::zeros, |c| c.solve(&b));
+    let brightness = inverse * (bb - hpb.transpose() * step);
+    Solution {
+        delta: step.component_mul(&scale),
+        gain: brightness[0] as f32,
+        offset: brightness[1] as f32,
+        condition: eigen.eigenvalues.min() / largest,
     }
-    let lhs = seen + Matrix6::from_diagonal(&prior);
-    let delta = lhs
-        .cholesky()
-        .map_or_else(Vector6::zeros, |c| c.solve(&(pull + prior.component_mul(&target))))
-        .component_mul(&scale);
-    let brightness = inverse * (bb - hpb.transpose() * delta);
-    Solution { delta, gain: brightness[0] as f32, offset: brightness[1] as f32, condition: eigen.eigenvalues.min() / largest }
 }
 
 /// Rotation-only photometric alignment (SO(3), ESM-free) of the coarsest level to the last frame's; returns

@@ -70,12 +70,10 @@ pub struct Sample {
     pub distance: f32,
     /// Its gradient (metres per metre): length near 1 where the distance is Euclidean.
     pub gradient: Vec3,
-    /// Least weight of the voxels involved, in frames.
-    pub weight: f32,
 }
 
 fn key_of(c: BlockCoord) -> Option<u64> {
-    let bias = |x: i32| (x >= -MAX_BLOCK && x < MAX_BLOCK).then(|| (x + MAX_BLOCK) as u64);
+    let bias = |x: i32| (-MAX_BLOCK..MAX_BLOCK).contains(&x).then(|| (x + MAX_BLOCK) as u64);
     Some((bias(c.z)? << 40) | (bias(c.y)? << 20) | bias(c.x)?)
 }
 
@@ -269,11 +267,7 @@ impl Volume {
         let dy = (1.0 - f.z) * (x1 - x0) + f.z * (x3 - x2);
         let dz = y1 - y0;
         let unit = self.truncation_m() / SDF_ONE;
-        Some(Sample {
-            distance: (y0 + f.z * dz) * unit,
-            gradient: Vec3::new(dx, dy, dz) * (unit / self.voxel_m),
-            weight: f32::from(least) * WEIGHT_UNIT,
-        })
+        Some(Sample { distance: (y0 + f.z * dz) * unit, gradient: Vec3::new(dx, dy, dz) * (unit / self.voxel_m) })
     }
 
     /// Doubles the voxel size in place: the new lattice is every second point of the old one, so the surface stays

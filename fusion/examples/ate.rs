@@ -1,0 +1,438 @@
+//! Runs TUM RGB-D folders through fusion and prints what the project is judged by: trajectory error, share of frames
+//! tracked, CPU time per frame and stage, mesh against truth.
+//!
+//! `cargo run --release -p fusion --example ate -- [--out DIR] [--set key=value]… FOLDER[=TRUTH_MESH]…`
+
+use firmware_config::Config;
+use fusion::{Fusion, FusionOutput, Tracking};
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use recordings::recording::Event;
+use recordings::tum::TumReader;
+use recordings::types::{ColorFrame, Mesh, RgbdFrame, Sensor};
+use std::collections::HashMap;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+fn main() -> Result<()> {
+    let mut config = Config::default();
+    let mut out: Option<PathBuf> = None;
+    let mut folders = Vec::new();
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--out" => out = Some(args.next().ok_or("--out needs a folder")?.into()),
+            "--set" => config.set(&args.next().ok_or("--set needs key=value")?)?,
+            "--trace" => tracing::subscriber::set_global_default(stages::Printer)?,
+            _ => folders.push(arg),
+        }
+    }
+    if !tracing::dispatcher::has_been_set() {
+        tracing::subscriber::set_global_default(stages::Collector)?;
+    }
+    for folder in folders {
+        let (dir, truth) = folder.split_once('=').map_or((folder.as_str(), None), |(d, t)| (d, Some(t)));
+        run(Path::new(dir), truth.map(Path::new), &config, out.as_deref())?;
+    }
+    Ok(())
+}
+
+fn run(dir: &Path, truth: Option<&Path>, config: &Config, out: Option<&Path>) -> Result<()> {
+    let (sensor, pairs) = read_pairs(dir)?;
+    let mut fusion = Fusion::new(&sensor, &config.fusion)?;
+    stages::reset();
+    let mut times = Vec::new();
+    let mut lost = Vec::new();
+    for (i, (depth, color)) in pairs.iter().enumerate() {
+        let rgb = color.decode()?;
+        let frame = RgbdFrame { depth: depth.clone(), color: color.clone(), rgb };
+        let (cpu, wall) = (cpu_ms(), Instant::now());
+        let report = fusion.push(&frame)?;
+        times.push((cpu_ms() - cpu, wall.elapsed().as_secs_f64() * 1e3));
+        if report.tracking == Tracking::Lost {
+            lost.push(i);
+        }
+    }
+    let n = times.len().max(1);
+    let start = (cpu_ms(), Instant::now());
+    let result = fusion.finish();
+    let finish = (cpu_ms() - start.0, start.1.elapsed().as_secs_f64() * 1e3);
+    println!("== {}", dir.display());
+    let s = &result.stats;
+    println!(
+        "frames {n}, in trajectory {:.1} %, losses {}, relocalisations {}, lost frames {lost:?}",
+        100.0 * result.trajectory.len() as f64 / n as f64,
+        s.losses,
+        s.relocalisations
+    );
+    let median = |f: fn(&(f64, f64)) -> f64| {
+        let mut t: Vec<f64> = times.iter().map(f).collect();
+        t.sort_by(f64::total_cmp);
+        (t[t.len() / 2], t[t.len() * 95 / 100])
+    };
+    let ((cpu, cpu95), (wall, wall95)) = (median(|t| t.0), median(|t| t.1));
+    println!("per frame: CPU median {cpu:.1} ms (95 % {cpu95:.1}), wall median {wall:.1} ms (95 % {wall95:.1})");
+    println!("finish: CPU {:.0} ms, wall {:.0} ms; peak memory {} MiB", finish.0, finish.1, peak_mib());
+    for (name, ms) in stages::totals() {
+        println!("    {name:<12} {:.2} ms", ms / n as f64);
+    }
+    println!(
+        "blocks {} of {}, refused {}, coarsened {} times, voxel {:.4} m",
+        s.blocks_used, s.blocks_total, s.blocks_refused, s.coarsenings, s.voxel_size_m
+    );
+    println!(
+        "mesh: {} vertices, {} triangles; {} keyframes + {} witnesses cover {:.1} %",
+        result.mesh.positions.len(),
+        result.mesh.triangles.len(),
+        result.keyframes.len(),
+        result.witnesses.len(),
+        100.0 * s.keyframe_coverage
+    );
+    report_ate(dir, &result, truth)?;
+    if let Some(out) = out {
+        let name = dir.file_name().ok_or("no folder name")?;
+        let to = out.join(name);
+        std::fs::create_dir_all(&to)?;
+        std::fs::write(to.join("trajectory.txt"), tum_lines(&result))?;
+        std::fs::write(to.join("mesh.ply"), ply(&result.mesh))?;
+    }
+    Ok(())
+}
+
+/// Each colour frame with the depth frame nearest in time, within 20 ms.
+fn read_pairs(dir: &Path) -> Result<(Sensor, Vec<(recordings::types::DepthFrame, ColorFrame)>)> {
+    let mut reader = TumReader::open(dir)?;
+    let sensor = reader.sensor().clone();
+    let (mut depths, mut colors) = (Vec::new(), Vec::new());
+    while let Some(event) = reader.next_event()? {
+        match event {
+            Event::Depth(d) => depths.push(d),
+            Event::Color(c) => colors.push(c),
+            _ => {}
+        }
+    }
+    let mut pairs = Vec::new();
+    for c in colors {
+        let gap = |d: &recordings::types::DepthFrame| (d.timestamp_ns - c.timestamp_ns).abs();
+        if let Some(d) = depths.iter().min_by_key(|d| gap(d)).filter(|d| gap(d) <= 20_000_000) {
+            pairs.push((d.clone(), c));
+        }
+    }
+    Ok((sensor, pairs))
+}
+
+struct Stamped {
+    t: f64,
+    p: DVec3,
+    q: DQuat,
+}
+
+fn ground_truth(dir: &Path) -> Result<Vec<Stamped>> {
+    let text = std::fs::read_to_string(dir.join("groundtruth.txt"))?;
+    let mut poses = Vec::new();
+    for line in text.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty()) {
+        let v: Vec<f64> = line.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>()?;
+        if let [t, x, y, z, a, b, c, w] = v[..] {
+            poses.push(Stamped { t, p: DVec3::new(x, y, z), q: DQuat::from_xyzw(a, b, c, w).normalize() });
+        }
+    }
+    Ok(poses)
+}
+
+/// Ground truth at a time: between the neighbours where they are near, `None` in gaps of over 50 ms.
+fn at_time(poses: &[Stamped], t: f64) -> Option<(DVec3, DQuat)> {
+    let i = poses.partition_point(|p| p.t < t);
+    let (a, b) = (poses.get(i.saturating_sub(1))?, poses.get(i).or(poses.last())?);
+    if (a.t - t).abs().min((b.t - t).abs()) > 0.05 {
+        return None;
+    }
+    let f = if b.t > a.t { ((t - a.t) / (b.t - a.t)).clamp(0.0, 1.0) } else { 0.0 };
+    Some((a.p.lerp(b.p, f), a.q.slerp(b.q, f)))
+}
+
+fn report_ate(dir: &Path, result: &FusionOutput, truth: Option<&Path>) -> Result<()> {
+    let truth_poses = ground_truth(dir)?;
+    let mut text = String::new();
+    for shift_ms in [-40, -20, 0, 20, 40] {
+        let Some((rmse, max, ..)) = ate(result, &truth_poses, f64::from(shift_ms) * 1e-3) else { continue };
+        if shift_ms == 0 {
+            println!("ATE RMSE {:.2} cm, max {:.2} cm", rmse * 100.0, max * 100.0);
+        }
+        write!(text, " {shift_ms} ms: {:.2}", rmse * 100.0)?;
+    }
+    println!("ATE in cm with truth read at stamp + shift:{text}");
+    if let (Some(path), Some((_, _, r, t))) = (truth, ate(result, &truth_poses, 0.0)) {
+        let reference = read_ply_vertices(path)?;
+        let ours: Vec<Vec3> = result.mesh.positions.iter().map(|p| (r * p.as_dvec3() + t).as_vec3()).collect();
+        report_mesh(dir, &ours, &reference)?;
+    }
+    Ok(())
+}
+
+/// RMSE and maximum after the best rigid alignment (Umeyama without scale), and that alignment, ours to truth.
+fn ate(result: &FusionOutput, truth: &[Stamped], shift: f64) -> Option<(f64, f64, DMat3, DVec3)> {
+    let pairs: Vec<(DVec3, DVec3)> = result
+        .trajectory
+        .iter()
+        .filter_map(|(t, pose)| at_time(truth, *t as f64 * 1e-9 + shift).map(|g| (pose.translation, g.0)))
+        .collect();
+    let n = pairs.len() as f64;
+    if pairs.len() < 3 {
+        return None;
+    }
+    let (ca, cb) = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
+    let mut m = nalgebra::Matrix3::<f64>::zeros();
+    for (a, b) in &pairs {
+        let (a, b) = (*a - ca, *b - cb);
+        m += nalgebra::Vector3::new(b.x, b.y, b.z) * nalgebra::Vector3::new(a.x, a.y, a.z).transpose();
+    }
+    let svd = m.svd(true, true);
+    let (u, vt) = (svd.u?, svd.v_t?);
+    let sign = if (u * vt).determinant() < 0.0 { -1.0 } else { 1.0 };
+    let r = u * nalgebra::Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, 1.0, sign)) * vt;
+    let r = DMat3::from_cols_array(&[
+        r[(0, 0)],
+        r[(1, 0)],
+        r[(2, 0)],
+        r[(0, 1)],
+        r[(1, 1)],
+        r[(2, 1)],
+        r[(0, 2)],
+        r[(1, 2)],
+        r[(2, 2)],
+    ]);
+    let t = cb - r * ca;
+    let errors: Vec<f64> = pairs.iter().map(|(a, b)| (r * *a + t - *b).length()).collect();
+    let rmse = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
+    Some((rmse, errors.iter().copied().fold(0.0, f64::max), r, t))
+}
+
+/// Distance of our vertices to the truth's, and the share of the truth near ours, among what the camera saw.
+fn report_mesh(dir: &Path, ours: &[Vec3], truth: &[Vec3]) -> Result<()> {
+    let near_truth = Grid::new(truth, 0.02);
+    let mut d: Vec<f32> = ours.iter().filter_map(|p| near_truth.nearest(*p)).collect();
+    d.sort_by(f32::total_cmp);
+    let far = ours.len() - d.len();
+    let near_ours = Grid::new(ours, 0.02);
+    let seen = seen_vertices(dir, truth)?;
+    let complete = seen.iter().filter(|p| near_ours.nearest(**p).is_some_and(|d| d < 0.005)).count();
+    println!(
+        "mesh to truth: median {:.2} mm, 90 % {:.2} mm, {} vertices beyond 20 mm; complete at 5 mm: {:.1} % of {}",
+        d.get(d.len() / 2).unwrap_or(&f32::NAN) * 1e3,
+        d.get(d.len() * 9 / 10).unwrap_or(&f32::NAN) * 1e3,
+        far,
+        100.0 * complete as f64 / seen.len().max(1) as f64,
+        seen.len()
+    );
+    Ok(())
+}
+
+/// The truth's vertices that at least five frames measured: a depth within 1 cm at their pixel.
+fn seen_vertices(dir: &Path, truth: &[Vec3]) -> Result<Vec<Vec3>> {
+    let (sensor, pairs) = read_pairs(dir)?;
+    let poses = ground_truth(dir)?;
+    let k = sensor.depth.intrinsics;
+    let mut count = vec![0u32; truth.len()];
+    for (depth, color) in pairs.iter().step_by(3) {
+        let Some((p, q)) = at_time(&poses, color.timestamp_ns as f64 * 1e-9) else { continue };
+        for (v, n) in truth.iter().zip(&mut count) {
+            let x = q.conjugate() * (v.as_dvec3() - p);
+            let (u, w) = ((k.fx * x.x / x.z + k.cx).round(), (k.fy * x.y / x.z + k.cy).round());
+            if x.z > 0.1 && u >= 0.0 && w >= 0.0 && u < f64::from(k.width) && w < f64::from(k.height) {
+                let z = f64::from(depth.depth[w as usize * k.width as usize + u as usize]) * sensor.depth_unit_m;
+                *n += u32::from((z - x.z).abs() < 0.01);
+            }
+        }
+    }
+    Ok(truth.iter().zip(count).filter(|(_, n)| *n >= 5).map(|(v, _)| *v).collect())
+}
+
+/// Points in cells of `size`, for the nearest within `size`.
+struct Grid {
+    cells: HashMap<[i32; 3], Vec<Vec3>>,
+    size: f32,
+}
+
+impl Grid {
+    fn new(points: &[Vec3], size: f32) -> Self {
+        let mut cells: HashMap<[i32; 3], Vec<Vec3>> = HashMap::new();
+        for p in points {
+            cells.entry((*p / size).floor().as_ivec3().to_array()).or_default().push(*p);
+        }
+        Self { cells, size }
+    }
+
+    fn nearest(&self, p: Vec3) -> Option<f32> {
+        let c = (p / self.size).floor().as_ivec3();
+        let mut best = self.size * self.size;
+        let mut found = false;
+        for k in 0..27 {
+            let d = glam::IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1);
+            for q in self.cells.get(&(c + d).to_array()).into_iter().flatten() {
+                let d = q.distance_squared(p);
+                if d < best {
+                    (best, found) = (d, true);
+                }
+            }
+        }
+        found.then(|| best.sqrt())
+    }
+}
+
+/// The positions of a binary little-endian PLY whose vertices begin with float x, y, z.
+fn read_ply_vertices(path: &Path) -> Result<Vec<Vec3>> {
+    let bytes = std::fs::read(path)?;
+    let marker = b"end_header\n";
+    let end = bytes.windows(marker.len()).position(|w| w == marker).ok_or("no PLY header")? + marker.len();
+    let header = std::str::from_utf8(&bytes[..end])?;
+    let count: usize =
+        header.lines().find_map(|l| l.strip_prefix("element vertex ")).ok_or("no vertices")?.trim().parse()?;
+    let stride = 4 * header.lines().filter(|l| l.starts_with("property float")).count();
+    let body = bytes.get(end..end + count * stride).ok_or("truncated PLY")?;
+    let float = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+    Ok(body.chunks_exact(stride).map(|v| Vec3::new(float(v), float(&v[4..]), float(&v[8..]))).collect())
+}
+
+fn ply(mesh: &Mesh) -> Vec<u8> {
+    let mut out = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\nproperty float nz\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n",
+        mesh.positions.len(),
+        mesh.triangles.len()
+    )
+    .into_bytes();
+    for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+        for x in p.to_array().into_iter().chain(n.to_array()) {
+            out.extend(x.to_le_bytes());
+        }
+    }
+    for t in &mesh.triangles {
+        out.push(3);
+        for i in t {
+            out.extend(i.to_le_bytes());
+        }
+    }
+    out
+}
+
+fn tum_lines(result: &FusionOutput) -> String {
+    let mut text = String::new();
+    for (t, pose) in &result.trajectory {
+        let (p, q) = (pose.translation, pose.rotation);
+        let _ = writeln!(
+            text,
+            "{}.{:06} {:.6} {:.6} {:.6} {:.7} {:.7} {:.7} {:.7}",
+            t / 1_000_000_000,
+            t % 1_000_000_000 / 1000,
+            p.x,
+            p.y,
+            p.z,
+            q.x,
+            q.y,
+            q.z,
+            q.w
+        );
+    }
+    text
+}
+
+/// CPU time of this process's threads so far, in milliseconds (Linux; 0 elsewhere).
+fn cpu_ms() -> f64 {
+    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
+    tasks
+        .filter_map(|t| std::fs::read_to_string(t.ok()?.path().join("schedstat")).ok())
+        .filter_map(|s| s.split_whitespace().next()?.parse::<f64>().ok())
+        .sum::<f64>()
+        * 1e-6
+}
+
+/// Peak resident memory in MiB (Linux; 0 elsewhere).
+fn peak_mib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    line.and_then(|l| l.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
+}
+
+/// Wall time per tracing span: the stages of `Fusion::push`.
+mod stages {
+    use std::cell::RefCell;
+    use std::fmt::Debug;
+    use std::sync::Mutex;
+    use std::time::Instant;
+    use tracing::field::{Field, Visit};
+    use tracing::span::{Attributes, Id, Record};
+    use tracing::{Event, Metadata, Subscriber};
+
+    static NAMES: Mutex<Vec<(&'static str, f64)>> = Mutex::new(Vec::new());
+    thread_local!(static OPEN: RefCell<Vec<Instant>> = const { RefCell::new(Vec::new()) });
+
+    pub fn reset() {
+        if let Ok(mut names) = NAMES.lock() {
+            names.clear();
+        }
+    }
+
+    pub fn totals() -> Vec<(&'static str, f64)> {
+        NAMES.lock().map(|n| n.clone()).unwrap_or_default()
+    }
+
+    pub struct Collector;
+
+    impl Subscriber for Collector {
+        fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+            metadata.is_span()
+        }
+        fn new_span(&self, span: &Attributes<'_>) -> Id {
+            let name = span.metadata().name();
+            let Ok(mut names) = NAMES.lock() else { return Id::from_u64(1) };
+            let at = names.iter().position(|n| n.0 == name).unwrap_or_else(|| {
+                names.push((name, 0.0));
+                names.len() - 1
+            });
+            Id::from_u64(at as u64 + 1)
+        }
+        fn record(&self, _: &Id, _: &Record<'_>) {}
+        fn record_follows_from(&self, _: &Id, _: &Id) {}
+        fn event(&self, _: &Event<'_>) {}
+        fn enter(&self, _: &Id) {
+            OPEN.with_borrow_mut(|o| o.push(Instant::now()));
+        }
+        fn exit(&self, id: &Id) {
+            let start = OPEN.with_borrow_mut(Vec::pop);
+            if let (Some(start), Ok(mut names)) = (start, NAMES.lock())
+                && let Some(name) = names.get_mut(id.into_u64() as usize - 1)
+            {
+                name.1 += start.elapsed().as_secs_f64() * 1e3;
+            }
+        }
+    }
+
+    /// Prints every event.
+    pub struct Printer;
+
+    impl Subscriber for Printer {
+        fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+            metadata.is_event() && metadata.target().starts_with("fusion")
+        }
+        fn new_span(&self, _: &Attributes<'_>) -> Id {
+            Id::from_u64(1)
+        }
+        fn record(&self, _: &Id, _: &Record<'_>) {}
+        fn record_follows_from(&self, _: &Id, _: &Id) {}
+        fn event(&self, event: &Event<'_>) {
+            struct Line(String);
+            impl Visit for Line {
+                fn record_debug(&mut self, field: &Field, value: &dyn Debug) {
+                    self.0 += &format!("{}={value:?} ", field.name());
+                }
+            }
+            let mut line = Line(String::new());
+            event.record(&mut line);
+            println!("{}", line.0);
+        }
+        fn enter(&self, _: &Id) {}
+        fn exit(&self, _: &Id) {}
+    }
+}
