@@ -36,7 +36,7 @@ section! {
         /// Standard deviation of the constant-velocity prediction, rotation.
         prior_sigma_rad: f64 = 0.05, [0.001..=1.0], "rad", "";
         /// A direction whose eigenvalue is below this share of the largest is unobserved: the motion prior holds it.
-        unobserved_below: f64 = 0.002, [0.0..=0.5], "", "";
+        unobserved_below: f64 = 0.00002, [0.0..=0.5], "", "";
         /// Fastest motion that is believed.
         max_speed_m_s: f64 = 4.5, [0.1..=20.0], "m/s", "";
         /// Fastest turn that is believed.
