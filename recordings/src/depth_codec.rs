@@ -9,6 +9,8 @@
 //! Layout: `mode u8`; mode 0: the depths, little-endian; mode 1: the value table, the frequency tables, then each
 //! band's escaped indices and coded 16-bit words.
 
+use crate::pack::{Input, Words, put_varint};
+
 const RAW: u8 = 0;
 const CODED: u8 = 1;
 
@@ -173,46 +175,6 @@ fn put_words(out: &mut Vec<u8>, words: &[u16]) {
     out.extend(words.iter().flat_map(|w| w.to_le_bytes()));
 }
 
-fn put_varint(out: &mut Vec<u8>, mut value: u32) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
-/// Little-endian 16-bit words.
-type Words<'a> = std::slice::Iter<'a, [u8; 2]>;
-
-/// Reads the parts of a coded image.
-struct Input<'a>(&'a [u8]);
-
-impl<'a> Input<'a> {
-    fn take(&mut self, n: usize) -> Result<&'a [u8], String> {
-        let (head, tail) = self.0.split_at_checked(n).ok_or("depth ends early")?;
-        self.0 = tail;
-        Ok(head)
-    }
-
-    fn varint(&mut self) -> Result<u32, String> {
-        let mut value = 0u32;
-        for shift in [0, 7, 14, 21, 28] {
-            let byte = self.take(1)?[0];
-            value |= u32::from(byte & 0x7f) << shift;
-            if byte < 0x80 {
-                return Ok(value);
-            }
-        }
-        Err("depth: a number without end".into())
-    }
-
-    /// As many little-endian 16-bit words as a number in front says.
-    fn words(&mut self) -> Result<Words<'a>, String> {
-        let n = self.varint()? as usize;
-        Ok(self.take(n.checked_mul(2).ok_or("depth ends early")?)?.as_chunks::<2>().0.iter())
-    }
-}
-
 /// What a state's lowest bits stand for: symbol (5 bits), its frequency (11 bits), and the bits minus the symbol's
 /// cumulative frequency (16 bits).
 #[derive(Clone, Copy, Default)]
@@ -327,7 +289,7 @@ struct Band<'a> {
 
 impl<'a> Band<'a> {
     fn new(escapes: Words<'a>, mut words: Words<'a>, rows: &'a mut [u16], width: usize) -> Result<Self, String> {
-        let mut word = || words.next().map(|w| u32::from(u16::from_le_bytes(*w))).ok_or("depth ends early");
+        let mut word = || words.next().map(|w| u32::from(u16::from_le_bytes(*w))).ok_or("the depths end early");
         let state = word()? << 16 | word()?;
         let empty = vec![0; width + 2];
         Ok(Self { state, escapes, words, sound: true, above: empty.clone(), row: empty, last: 0, rows })

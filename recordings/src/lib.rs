@@ -3,10 +3,12 @@
 
 mod camera;
 pub mod chunk;
+mod connectivity;
 mod decode;
 mod depth_codec;
 pub mod error;
 mod lists;
+mod pack;
 pub mod photos;
 pub mod recording;
 pub mod result;
@@ -14,6 +16,7 @@ pub mod scan;
 pub mod tum;
 pub mod types;
 mod v1;
+mod vertices;
 
 pub use chunk::crc32_of_file;
 pub use error::{Error, Result};

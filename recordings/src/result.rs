@@ -1,10 +1,26 @@
 //! Results (`.lres`): what the estimator found.
 
-use crate::error::Result;
+use crate::chunk::{ChunkReader, ChunkWriter, Tag};
+use crate::connectivity::{self, Traversal};
+use crate::error::{Error, Result};
+use crate::scan::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
+use crate::v1::{EstimateV1, LightV1, from_bytes, to_bytes};
+use crate::vertices;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+
+/// Kind of file.
+pub const KIND: Tag = *b"LRES";
+const VERSION: u32 = 1;
+const HEAD: Tag = *b"HEAD";
+const LIGHT: Tag = *b"LIGH";
+const TRIANGLES: Tag = *b"TRIA";
+const VERTICES: Tag = *b"VERT";
+const KNOWN: &[(Tag, u32)] = &[(HEAD, 1 << 26), (LIGHT, 1 << 24), (TRIANGLES, 1 << 30), (VERTICES, 1 << 30)];
+/// Rows of coefficients at nine bands.
+const MAX_COEFFICIENTS: usize = 81;
 
 /// Distant light as real orthonormal spherical harmonics (no Condon–Shortley phase, index `l*(l+1)+m`, world axes):
 /// radiance towards the surface from direction ω is `Σ_k coefficients[k] Y_k(ω)`.
@@ -128,14 +144,258 @@ impl Estimate {
     ///
     /// # Errors
     /// Unreadable, damaged, no result, or of a newer version.
-    pub fn read(_path: &Path) -> Result<Self> {
-        unimplemented!()
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
+        let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
+        let mut chunks: [Option<Vec<u8>>; 4] = Default::default();
+        let mut payload = Vec::new();
+        while let Some(tag) = file.next(&mut payload)? {
+            if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
+                chunks[slot] = Some(std::mem::take(&mut payload));
+            }
+        }
+        let [Some(head), Some(light), Some(triangles), Some(vertices)] = chunks else {
+            return Err(invalid("a part is missing".into()));
+        };
+        Self::from_chunks(&head, &light, &triangles, &vertices).map_err(invalid)
     }
-    /// Writes a result file, quantised (by fsync and rename).
+
+    fn from_chunks(head: &[u8], light: &[u8], triangles: &[u8], vertices: &[u8]) -> std::result::Result<Self, String> {
+        let (head, _) = from_bytes::<EstimateV1>(head)?;
+        let (light, _) = from_bytes::<LightV1>(light)?;
+        let (triangles, order) = vertices::unpack_triangles(triangles)?;
+        let vertices = vertices::unpack(vertices, &order)?;
+        let estimate = Self {
+            name: head.name,
+            response: head.response.try_into()?,
+            mesh: Mesh { positions: vertices.positions, normals: vertices.normals, triangles },
+            segment: vertices.segment,
+            lit_color: vertices.lit_color,
+            albedo: vertices.albedo,
+            confidence: vertices.confidence,
+            light: light.into(),
+            segments: head.segments.into_iter().map(Into::into).collect(),
+            keyframes: head.keyframes.into_iter().map(TryInto::try_into).collect::<std::result::Result<_, _>>()?,
+            transfer: head.transfer,
+            decisions: head.decisions.into_iter().map(Into::into).collect(),
+            cuts: head.cuts,
+            warnings: head.warnings,
+            albedo_scale_rule: head.albedo_scale_rule,
+            witnesses: head.witnesses.into_iter().map(Into::into).collect(),
+        };
+        estimate.check()?;
+        Ok(estimate)
+    }
+
+    /// Writes a result file, quantised (by fsync and rename). Vertices keep their order, triangles do not.
     ///
     /// # Errors
-    /// The disk is full or gone.
-    pub fn write(&self, _path: &Path) -> Result<()> {
-        unimplemented!()
+    /// The disk is full or gone; a number is not finite, an index out of range, or arrays differ in length.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let refuse = |problem: String| Error::invalid(path, problem, "this result cannot be stored");
+        self.check().map_err(refuse)?;
+        let head = EstimateV1 {
+            name: self.name.clone(),
+            response: self.response.into(),
+            segments: self.segments.iter().map(Into::into).collect(),
+            keyframes: self.keyframes.iter().map(Into::into).collect(),
+            transfer: self.transfer.clone(),
+            decisions: self.decisions.iter().map(Into::into).collect(),
+            cuts: self.cuts.clone(),
+            warnings: self.warnings.clone(),
+            albedo_scale_rule: self.albedo_scale_rule.clone(),
+            witnesses: self.witnesses.iter().map(Into::into).collect(),
+        };
+        let Traversal { codes, order } = connectivity::encode(&self.mesh.triangles, self.mesh.positions.len());
+        let mut file = ChunkWriter::create(path, KIND, VERSION)?;
+        file.write(HEAD, &[&to_bytes(&head).map_err(refuse)?])?;
+        file.write(LIGHT, &[&to_bytes(&LightV1::from(&self.light)).map_err(refuse)?])?;
+        file.write(TRIANGLES, &[&vertices::pack_triangles(&codes, self.mesh.triangles.len(), &order)])?;
+        file.write(VERTICES, &[&vertices::pack(self, &order).map_err(refuse)?])?;
+        file.finish()
+    }
+
+    /// What makes this no result, if anything.
+    fn check(&self) -> std::result::Result<(), String> {
+        check_mesh(&self.mesh)?;
+        let n = self.mesh.positions.len();
+        if [self.segment.len(), self.lit_color.len(), self.albedo.len(), self.confidence.len()] != [n; 4] {
+            return Err(format!("vertex arrays are not as long as the {n} positions"));
+        }
+        if self.segment.iter().any(|s| *s as usize >= self.segments.len()) {
+            return Err("a vertex in a segment that does not exist".into());
+        }
+        let colors = self.lit_color.iter().chain(&self.albedo).all(|c| c.is_finite());
+        if !colors || !self.confidence.iter().all(|c| c.is_finite()) {
+            return Err("a colour or confidence that is not finite".into());
+        }
+        self.light.check()?;
+        for (index, s) in self.segments.iter().enumerate() {
+            let numbers = [s.albedo[0], s.albedo[1], s.albedo[2], s.w_d, s.w_s];
+            if !numbers.iter().all(|x| x.is_finite()) || s.w_s_error.is_nan() {
+                return Err(format!("segment {index} holds NaN or infinity"));
+            }
+        }
+        for k in &self.keyframes {
+            let sound = k.world_from_camera.is_finite() && k.residual_px.is_finite() && k.camera.problem().is_none();
+            if !sound || !k.gain.iter().all(|g| g.is_finite() && *g > 0.0) {
+                return Err(format!("keyframe {} holds numbers that make no sense", k.name));
+            }
+        }
+        let nan = |w: &WitnessError| w.lit_psnr_db.is_nan() || w.model_psnr_db.is_nan() || w.coverage.is_nan();
+        if self.witnesses.iter().any(nan) {
+            return Err("a witness error is NaN".into());
+        }
+        Ok(())
+    }
+}
+
+impl Light {
+    fn check(&self) -> std::result::Result<(), String> {
+        let rows = self.coefficients.len();
+        let bands = self.bands() as usize;
+        if rows > MAX_COEFFICIENTS || bands * bands != rows {
+            return Err(format!("{rows} light coefficients are no whole number of bands up to nine"));
+        }
+        if self.standard_deviation.len() != rows || self.directions.len() != self.radiance.len() {
+            return Err("parts of the light differ in length".into());
+        }
+        let finite = self.coefficients.iter().flatten().all(|x| x.is_finite())
+            && self.directions.iter().chain(&self.radiance).flatten().all(|x| x.is_finite());
+        if !finite || self.standard_deviation.iter().flatten().any(|x| x.is_nan()) {
+            return Err("the light holds NaN or infinity".into());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{bumpy_mesh, estimate_on, refuses_damage};
+
+    fn written(estimate: &Estimate) -> (tempfile::TempDir, std::path::PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.lres");
+        estimate.write(&path).unwrap();
+        (dir, path)
+    }
+
+    /// Bytes a vertex: all, and those of connectivity.
+    fn size(estimate: &Estimate) -> (f64, f64) {
+        let (_dir, path) = written(estimate);
+        let n = estimate.mesh.positions.len();
+        let Traversal { codes, order } = connectivity::encode(&estimate.mesh.triangles, n);
+        let triangles = vertices::pack_triangles(&codes, estimate.mesh.triangles.len(), &order).len();
+        (std::fs::metadata(&path).unwrap().len() as f64 / n as f64, triangles as f64 / n as f64)
+    }
+
+    #[test]
+    fn a_result_comes_back_as_exactly_as_it_is_quantised() {
+        let estimate = estimate_on(bumpy_mesh(30));
+        let (_dir, path) = written(&estimate);
+        let read = Estimate::read(&path).unwrap();
+        for v in 0..900 {
+            assert!((read.mesh.positions[v] - estimate.mesh.positions[v]).length() < 2e-5);
+            assert!(read.mesh.normals[v].dot(estimate.mesh.normals[v]) > 0.999_999);
+            assert!(((read.lit_color[v] - estimate.lit_color[v]) / estimate.lit_color[v]).abs().max_element() < 5e-4);
+            assert!(((read.albedo[v] - estimate.albedo[v]) / estimate.albedo[v]).abs().max_element() < 1.5e-3);
+            assert!((read.confidence[v] - estimate.confidence[v]).abs() < 0.002);
+        }
+        assert_eq!(read.mesh.triangles.len(), estimate.mesh.triangles.len());
+        let same = |e: &Estimate| Estimate {
+            mesh: Mesh::default(),
+            segment: e.segment.clone(),
+            lit_color: vec![],
+            albedo: vec![],
+            confidence: vec![],
+            ..e.clone()
+        };
+        assert_eq!(same(&read), same(&estimate));
+        // Once quantised, nothing changes any more.
+        let (_dir, again) = written(&read);
+        assert_eq!(
+            Estimate::read(&again).unwrap(),
+            Estimate { mesh: Estimate::read(&again).unwrap().mesh, ..read.clone() }
+        );
+        assert_eq!(Estimate::read(&again).unwrap().mesh.positions, read.mesh.positions);
+    }
+
+    #[test]
+    fn empty_and_tiny_results_come_back() {
+        let mut empty = estimate_on(Mesh::default());
+        empty.light = Light::default();
+        empty.segments.clear();
+        empty.keyframes.clear();
+        let (_dir, path) = written(&empty);
+        assert_eq!(Estimate::read(&path).unwrap(), empty);
+        let one = Mesh { positions: vec![Vec3::ONE], normals: vec![], triangles: vec![[0; 3]] };
+        let (_dir, path) = written(&estimate_on(one.clone()));
+        assert_eq!(Estimate::read(&path).unwrap().mesh, one);
+    }
+
+    #[test]
+    fn damage_is_refused() {
+        let (_dir, path) = written(&estimate_on(bumpy_mesh(12)));
+        refuses_damage(&path, Estimate::read);
+    }
+
+    #[test]
+    fn nonsense_is_not_written() {
+        let good = estimate_on(bumpy_mesh(4));
+        let dir = tempfile::tempdir().unwrap();
+        let refused = |change: &dyn Fn(&mut Estimate)| {
+            let mut bad = good.clone();
+            change(&mut bad);
+            bad.write(&dir.path().join("a.lres")).is_err() && std::fs::read_dir(dir.path()).unwrap().count() == 0
+        };
+        assert!(refused(&|e| e.segment[3] = 2));
+        assert!(refused(&|e| e.albedo[3].x = f32::NAN));
+        assert!(refused(&|e| e.confidence.truncate(3)));
+        assert!(refused(&|e| e.light.coefficients.truncate(5)));
+        assert!(refused(&|e| e.light.coefficients[5][1] = f64::INFINITY));
+        assert!(refused(&|e| e.segments[0].w_s = f64::NAN));
+        assert!(refused(&|e| e.keyframes[0].gain[0] = 0.0));
+        assert!(refused(&|e| e.mesh.triangles[0][0] = 16));
+    }
+
+    #[test]
+    fn shuffled_noisy_vertices_keep_the_size_bounds() {
+        // The worst case: neighbours share nothing, in memory or in value.
+        let n = 20_000u32;
+        let hash = |i: u32, k: u32| {
+            (i.wrapping_mul(2_654_435_761).wrapping_add(k * 0x9e37) ^ i >> 3).wrapping_mul(0x85eb_ca6b)
+        };
+        let unit = |i: u32, k: u32| (hash(i, k) >> 8) as f32 / (1u32 << 24) as f32;
+        let vector = |i: u32, k: u32| Vec3::new(unit(i, k), unit(i, k + 1), unit(i, k + 2));
+        let mut estimate = estimate_on(Mesh {
+            positions: (0..n).map(|i| vector(i, 0)).collect(),
+            normals: (0..n).map(|i| (vector(i, 3) - 0.5).normalize_or(Vec3::Z)).collect(),
+            triangles: vec![],
+        });
+        estimate.lit_color = (0..n).map(|i| vector(i, 6)).collect();
+        estimate.albedo = (0..n).map(|i| vector(i, 9)).collect();
+        let (whole, connectivity) = size(&estimate);
+        assert!(whole - connectivity <= 24.0, "{whole} with {connectivity} for connectivity");
+    }
+
+    #[test]
+    fn a_mesh_shuffled_takes_hardly_more() {
+        let mesh = bumpy_mesh(100);
+        let n = 10_000u32;
+        let shuffle = |i: u32| (i * 7919) % n;
+        let mut shuffled = mesh.clone();
+        for i in 0..n {
+            shuffled.positions[shuffle(i) as usize] = mesh.positions[i as usize];
+            shuffled.normals[shuffle(i) as usize] = mesh.normals[i as usize];
+        }
+        shuffled.triangles.iter_mut().flatten().for_each(|v| *v = shuffle(*v));
+        let t = shuffled.triangles.len();
+        shuffled.triangles = (0..t).map(|i| shuffled.triangles[i * 7919 % t]).collect();
+        for mesh in [mesh, shuffled] {
+            let (whole, connectivity) = size(&estimate_on(mesh));
+            assert!(whole <= 36.0 && whole - connectivity <= 24.0, "{whole} with {connectivity} for connectivity");
+            println!("{whole:.2} bytes a vertex, {connectivity:.2} of them connectivity");
+        }
     }
 }

@@ -1,7 +1,12 @@
 //! What the unit tests share.
 
 use crate::decode::encode_depth_png;
-use crate::types::{ColorEncoding, ColorFrame};
+use crate::result::{Decision, Estimate, Light, ResultKeyframe, Segment, WitnessError};
+use crate::scan::{CaptureStats, Scan, ScanSource};
+use crate::types::{
+    CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose, Response, Sensor,
+};
+use glam::{DQuat, DVec3, Vec3};
 use std::path::PathBuf;
 
 /// A 32x24 JPEG: (8x, 10y, 128 + 40 sin(x/3)), quality 90.
@@ -40,4 +45,125 @@ pub(crate) fn tum_folder(frames: usize) -> tempfile::TempDir {
     let camera = "# a small camera\n30 30 15.5 11.5 5000 32 24\n# k1 k2 p1 p2 k3 = 0.1 -0.01 0.001 0.002 0.003\n";
     std::fs::write(dir.path().join("camera.txt"), camera).unwrap();
     dir
+}
+
+pub(crate) fn camera(width: u32, height: u32) -> CameraModel {
+    let intrinsics = Intrinsics { width, height, fx: 30.0, fy: 30.5, cx: 15.5, cy: 11.5 };
+    CameraModel { intrinsics, distortion: Distortion { k1: 0.1, ..Distortion::NONE } }
+}
+
+/// A sensor with 32x24 colour and 16x12 depth.
+pub(crate) fn sensor() -> Sensor {
+    Sensor {
+        name: "made up".into(),
+        serial: "42".into(),
+        color: camera(32, 24),
+        depth: camera(16, 12).undistorted(),
+        color_from_depth: Pose::new(DQuat::from_xyzw(0.01, 0.02, 0.03, 1.0), DVec3::new(0.025, 0.0, 0.001)),
+        depth_registered: false,
+        depth_unit_m: 0.001,
+        response: Response::Gamma(2.2),
+        depth_to_color_offset_ns: -20_000_000,
+    }
+}
+
+/// A bumpy square of `n` × `n` vertices.
+pub(crate) fn bumpy_mesh(n: u32) -> Mesh {
+    let at = |x: u32, y: u32| y * n + x;
+    let cells = (0..n - 1).flat_map(|y| (0..n - 1).map(move |x| (x, y)));
+    let position = |i: u32| {
+        let (x, y) = ((i % n) as f32 / n as f32, (i / n) as f32 / n as f32);
+        Vec3::new(x, y, 0.1 * libm::sinf(9.0 * x) * libm::cosf(7.0 * y))
+    };
+    Mesh {
+        positions: (0..n * n).map(position).collect(),
+        normals: (0..n * n).map(|i| Vec3::new((i % 7) as f32 - 3.0, (i % 5) as f32 - 2.0, 4.0).normalize()).collect(),
+        triangles: cells
+            .flat_map(|(x, y)| [[at(x, y), at(x + 1, y), at(x, y + 1)], [at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)]])
+            .collect(),
+    }
+}
+
+pub(crate) fn keyframe(ns: i64) -> Keyframe {
+    Keyframe {
+        name: crate::format_seconds(ns),
+        world_from_camera: sensor().color_from_depth,
+        camera: sensor().color,
+        color: color_frame(ns, 32, 24, ColorEncoding::Jpeg, GRADIENT_JPEG.to_vec()),
+    }
+}
+
+pub(crate) fn scan() -> Scan {
+    Scan {
+        name: "a scan".into(),
+        source: ScanSource::Fusion,
+        sensor: sensor(),
+        mesh: bumpy_mesh(5),
+        keyframes: vec![keyframe(1_000_000_000), keyframe(2_500_000_000)],
+        witnesses: vec![keyframe(1_700_000_000)],
+        config: "[fusion]\n".into(),
+        stats: CaptureStats { pairs: 9, duration_s: 1.5, ..CaptureStats::default() },
+    }
+}
+
+/// A result on a mesh, with two segments and noisy colours.
+pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
+    let n = mesh.positions.len() as u32;
+    let noise = |i: u32| (i.wrapping_mul(2_654_435_761) >> 8) as f32 / (1u32 << 24) as f32;
+    let color = |i: u32| Vec3::new(0.4, 0.3, 0.2) * (0.7 + 0.05 * noise(i)) + 0.01 * noise(i ^ 0x5555);
+    let segment = |i: u32| u32::from(mesh.positions[i as usize].x > 0.5);
+    let row = |k: u32| [f64::from(k) * 0.1, 0.2, -0.3];
+    let segment_of = |vertices| Segment { vertices, albedo: [0.5; 3], w_d: 1.0, w_s: 0.1, w_s_error: f64::INFINITY };
+    Estimate {
+        name: "a result".into(),
+        response: Response::Srgb,
+        segment: (0..n).map(segment).collect(),
+        lit_color: (0..n).map(color).collect(),
+        albedo: (0..n).map(|i| color(i) * 1.5).collect(),
+        confidence: (0..n).map(noise).collect(),
+        light: Light {
+            coefficients: (0..9).map(row).collect(),
+            standard_deviation: vec![[0.01, 0.02, f64::INFINITY]; 9],
+            directions: vec![[0.0, 0.0, 1.0]],
+            radiance: vec![[1.0, 2.0, 3.0]],
+        },
+        segments: vec![segment_of(1), segment_of(2)],
+        keyframes: vec![ResultKeyframe {
+            name: "keyframes/000.png".into(),
+            timestamp_ns: 5,
+            gain: [1.0, 1.1, 0.9],
+            world_from_camera: sensor().color_from_depth,
+            camera: sensor().color,
+            residual_px: 0.25,
+        }],
+        transfer: "gi".into(),
+        decisions: vec![Decision {
+            name: "bands".into(),
+            choice: "3".into(),
+            evidence: "held-out error 0.01".into(),
+            next_level: "0.0099".into(),
+        }],
+        cuts: vec!["bounces".into()],
+        warnings: vec![],
+        albedo_scale_rule: "mean 0.5".into(),
+        witnesses: vec![WitnessError { name: "w".into(), lit_psnr_db: 30.0, model_psnr_db: 28.0, coverage: 0.8 }],
+        mesh,
+    }
+}
+
+/// Every truncation (in steps) and many bit flips of a file must be refused by `read`, without panic.
+pub(crate) fn refuses_damage<T>(path: &std::path::Path, read: impl Fn(&std::path::Path) -> crate::Result<T>) {
+    let whole = std::fs::read(path).unwrap();
+    let damaged = path.with_extension("damaged");
+    for length in (0..whole.len()).step_by(1 + whole.len() / 200) {
+        std::fs::write(&damaged, &whole[..length]).unwrap();
+        let message = read(&damaged).err().unwrap_or_else(|| panic!("{length} bytes were accepted")).to_string();
+        assert!(message.contains("damaged"), "the file is not named: {message}");
+    }
+    for at in (0..whole.len()).step_by(1 + whole.len() / 200) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1 << (at % 8);
+        std::fs::write(&damaged, &bytes).unwrap();
+        assert!(read(&damaged).is_err(), "a flip in byte {at} was not noticed");
+    }
 }

@@ -1,5 +1,7 @@
 //! What stands in our files, version 1. These structs are never edited: a new version stands beside them.
 
+use crate::result::{Decision, Light, ResultKeyframe, Segment, WitnessError};
+use crate::scan::{CaptureStats, ScanSource};
 use crate::types::{CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Pose, Response, Sensor};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -173,7 +175,7 @@ impl From<EncodingV1> for ColorEncoding {
 }
 
 /// Before the bytes of a colour frame.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub(crate) struct ColorV1 {
     pub timestamp_ns: i64,
     pub width: u32,
@@ -231,6 +233,163 @@ pub(crate) enum RecordingKindV1 {
 pub(crate) struct RecordingV1 {
     pub kind: RecordingKindV1,
     pub sensor: SensorV1,
+}
+
+/// Before the bytes of a keyframe's or witness's picture.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct KeyframeV1 {
+    pub name: String,
+    pub world_from_camera: PoseV1,
+    pub camera: CameraV1,
+    pub color: ColorV1,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum ScanSourceV1 {
+    Fusion,
+    Photos,
+}
+
+impl From<ScanSource> for ScanSourceV1 {
+    fn from(s: ScanSource) -> Self {
+        match s {
+            ScanSource::Fusion => Self::Fusion,
+            ScanSource::Photos => Self::Photos,
+        }
+    }
+}
+
+impl From<ScanSourceV1> for ScanSource {
+    fn from(s: ScanSourceV1) -> Self {
+        match s {
+            ScanSourceV1::Fusion => Self::Fusion,
+            ScanSourceV1::Photos => Self::Photos,
+        }
+    }
+}
+
+/// Head of a scan.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct ScanV1 {
+    pub name: String,
+    pub source: ScanSourceV1,
+    pub sensor: SensorV1,
+    pub config: String,
+    pub vertices: u32,
+    pub triangles: u32,
+    pub keyframes: u32,
+    pub witnesses: u32,
+}
+
+/// Declares the stored twin of a struct with the same fields.
+macro_rules! twin {
+    ($v1:ident of $api:ident { $($field:ident: $ty:ty),+ $(,)? }) => {
+        #[derive(Debug, Serialize, Deserialize)]
+        pub(crate) struct $v1 { $($field: $ty),+ }
+        impl From<&$api> for $v1 {
+            fn from(x: &$api) -> Self { Self { $($field: x.$field.clone()),+ } }
+        }
+        impl From<$v1> for $api {
+            fn from(x: $v1) -> Self { Self { $($field: x.$field),+ } }
+        }
+    };
+}
+
+twin!(StatsV1 of CaptureStats {
+    depth_frames: u64,
+    color_frames: u64,
+    pairs: u64,
+    unpaired_color: u64,
+    unpaired_depth: u64,
+    incomplete_frames: u64,
+    missing_packets: u64,
+    dropped_pairs: u64,
+    tracked_pairs: u64,
+    lost_pairs: u64,
+    losses: u64,
+    relocalisations: u64,
+    coarsenings: u32,
+    voxel_size_m: f64,
+    blocks_used: u64,
+    blocks_total: u64,
+    blocks_refused: u64,
+    duration_s: f64,
+    keyframe_coverage: f64,
+});
+
+twin!(SegmentV1 of Segment { vertices: u32, albedo: [f64; 3], w_d: f64, w_s: f64, w_s_error: f64 });
+twin!(DecisionV1 of Decision { name: String, choice: String, evidence: String, next_level: String });
+twin!(WitnessErrorV1 of WitnessError { name: String, lit_psnr_db: f64, model_psnr_db: f64, coverage: f64 });
+twin!(LightV1 of Light {
+    coefficients: Vec<[f64; 3]>,
+    standard_deviation: Vec<[f64; 3]>,
+    directions: Vec<[f32; 3]>,
+    radiance: Vec<[f32; 3]>,
+});
+
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct ResultKeyframeV1 {
+    name: String,
+    timestamp_ns: i64,
+    gain: [f64; 3],
+    world_from_camera: PoseV1,
+    camera: CameraV1,
+    residual_px: f64,
+}
+
+impl From<&ResultKeyframe> for ResultKeyframeV1 {
+    fn from(k: &ResultKeyframe) -> Self {
+        Self {
+            name: k.name.clone(),
+            timestamp_ns: k.timestamp_ns,
+            gain: k.gain,
+            world_from_camera: (&k.world_from_camera).into(),
+            camera: (&k.camera).into(),
+            residual_px: k.residual_px,
+        }
+    }
+}
+
+impl TryFrom<ResultKeyframeV1> for ResultKeyframe {
+    type Error = String;
+    fn try_from(k: ResultKeyframeV1) -> Result<Self, String> {
+        Ok(Self {
+            name: k.name,
+            timestamp_ns: k.timestamp_ns,
+            gain: k.gain,
+            world_from_camera: k.world_from_camera.try_into()?,
+            camera: k.camera.try_into()?,
+            residual_px: k.residual_px,
+        })
+    }
+}
+
+/// Head of a result: everything but the vertices, the triangles and the light.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct EstimateV1 {
+    pub name: String,
+    pub response: ResponseV1,
+    pub segments: Vec<SegmentV1>,
+    pub keyframes: Vec<ResultKeyframeV1>,
+    pub transfer: String,
+    pub decisions: Vec<DecisionV1>,
+    pub cuts: Vec<String>,
+    pub warnings: Vec<String>,
+    pub albedo_scale_rule: String,
+    pub witnesses: Vec<WitnessErrorV1>,
+}
+
+/// Before the packed vertex arrays of a result.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct VerticesV1 {
+    pub vertices: u32,
+    /// Corners of the box that the positions are quantised in.
+    pub low: [f32; 3],
+    pub high: [f32; 3],
+    pub has_normals: bool,
+    /// Largest lit colour and largest albedo: the scales of their codes.
+    pub lit_scale: f32,
+    pub albedo_scale: f32,
 }
 
 /// Postcard of a header struct. Fails only where memory does, which is not reported as an error on any system we run on.
