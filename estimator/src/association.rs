@@ -7,6 +7,7 @@ use crate::graph::{Graph, vertex_spacing};
 use crate::picture::{Picture, linear_table};
 use crate::pose;
 use crate::raster::{MISS, Raster, camera_positions, triangle_normals};
+use crate::robust::weighted_median;
 use crate::scene::Scene;
 use firmware_config::{EstimatorConfig, Switch};
 use glam::Vec3;
@@ -85,6 +86,8 @@ struct Rules {
     edge_cosine: f32,
     /// How far around a vertex's pixel Eq. (4) looks.
     edge_pixels: i32,
+    /// Observations under these rules stand back behind all others.
+    last_resort: bool,
 }
 
 impl Rules {
@@ -97,6 +100,18 @@ impl Rules {
             edge_distance: (config.edge_distance * (1.0 + relaxed)) as f32,
             edge_cosine: libm::cos(angle) as f32,
             edge_pixels: if relaxed < 0.5 { 3 } else { 2 },
+            last_resort: false,
+        }
+    }
+
+    /// For vertices that have nothing better: seen, however steeply and however near to an edge.
+    fn last_resort(&self) -> Self {
+        Self {
+            min_cosine: 0.5 * self.min_cosine,
+            edge_distance: 2.0 * self.edge_distance,
+            edge_cosine: -1.0,
+            edge_pixels: 1,
+            last_resort: true,
         }
     }
 }
@@ -128,6 +143,9 @@ pub fn associate(
         .collect();
     let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2;
     let rounds = if refine { config.association_rounds.max(1) } else { 1 };
+    let exposures = |field: &LightField| {
+        exposure::solve(field, mesh, edge, keyframes.len(), config.exposure, config.dark_below as f32)
+    };
     let mut tracker = pose::Tracker::new(keyframes);
     for round in 0..rounds {
         progress.stage("association", f64::from(round) / f64::from(rounds));
@@ -136,22 +154,15 @@ pub fn associate(
         }
         let relaxed = f64::from(round) / f64::from(rounds);
         let field = LightField::gather(&setting, &pictures, &views, &Rules::new(config, relaxed));
-        let (gains, _) = exposure::solve(
-            &field.observations,
-            &field.offsets,
-            views.len(),
-            config.exposure,
-            config.dark_below as f32,
-        ); // Eq. (5)
+        let (gains, _) = exposures(&field); // Eq. (5)
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
         let lit = field.lit_colors(&views); // Eq. (2)
         if !tracker.step(&setting, &pictures, &field, &lit, &mut views, round) {
             break;
         }
     }
-    let field = LightField::gather(&setting, &pictures, &views, &Rules::new(config, 1.0));
-    let (gains, decision) =
-        exposure::solve(&field.observations, &field.offsets, views.len(), config.exposure, config.dark_below as f32);
+    let field = LightField::gather_all(&setting, &pictures, &views, &Rules::new(config, 1.0));
+    let (gains, decision) = exposures(&field);
     views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
     let lit = field.lit_colors(&views);
     progress.stage("association", 1.0);
@@ -199,7 +210,20 @@ impl LightField {
                 None => Vec::new(),
             })
             .collect();
-        let n = setting.mesh.positions.len();
+        Self::sorted(&per_view, setting.mesh.positions.len())
+    }
+
+    /// [`LightField::gather`] with the last resort for vertices that nothing else sees.
+    fn gather_all(setting: &Setting, pictures: &[Option<Picture>], views: &[View], rules: &Rules) -> Self {
+        let strict = Self::gather(setting, pictures, views, rules);
+        let loose = Self::gather(setting, pictures, views, &rules.last_resort());
+        let bare = |o: &&Observation| strict.offsets[o.vertex as usize] == strict.offsets[o.vertex as usize + 1];
+        let extra: Vec<Observation> = loose.observations.iter().filter(bare).copied().collect();
+        Self::sorted(&[strict.observations, extra], setting.mesh.positions.len())
+    }
+
+    /// Brings observations, ascending by keyframe for every vertex, into rows.
+    fn sorted(per_view: &[Vec<Observation>], n: usize) -> Self {
         let mut offsets = vec![0_u32; n + 1];
         for o in per_view.iter().flatten() {
             offsets[o.vertex as usize + 1] += 1;
@@ -286,7 +310,7 @@ fn median_color(row: &[Observation], factors: &[[f32; 3]]) -> Vec3 {
             row.iter()
                 .map(|o| (f64::from(o.color[c] * factors[o.keyframe as usize][c]), f64::from(o.weight.max(1e-6)))),
         );
-        exposure::weighted_median(&mut values) as f32
+        weighted_median(&mut values) as f32
     });
     Vec3::from_array(channels)
 }
@@ -351,13 +375,14 @@ fn observe(setting: &Setting, picture: &Picture, pose: &Pose, keyframe: u16, rul
         // Few pixels on a vertex mix it with its neighbours.
         let resolution = (spacing_px * cosine).min(1.0);
         let angle = (cosine - 0.5 * rules.min_cosine) / (1.0 - 0.5 * rules.min_cosine);
+        let rank = if rules.last_resort { 0.05 } else { 1.0 };
         let clipped = if sample.brightest >= setting.clipped { 1e-4 } else { 1.0 };
         let pixels = (sample.pixels / (sample.pixels + 4.0)).min(1.0);
         out.push(Observation {
             vertex: i as u32,
             keyframe,
             color: sample.color,
-            weight: angle * resolution * pixels * clipped,
+            weight: angle * resolution * pixels * clipped * rank,
         });
     }
     out

@@ -1,28 +1,41 @@
-//! Exposure gains of the keyframes (Eq. 5), jointly over all vertices in the log domain.
+//! Exposure gains of the keyframes (Eq. 5), jointly over the whole surface in the log domain.
+//!
+//! Gloss makes surfaces disagree with each other smoothly and by far more than noise, so single vertices cannot tell
+//! which of them is right. Patches can: within one, vertices share their view dependence and their noise averages out.
+//! Each patch says how the keyframes differ over it, and the gains are those that most of the patches agree on.
 
-use crate::association::Observation;
+use crate::association::{LightField, Observation};
+use crate::robust::{median, weighted_median};
 use firmware_config::ExposureChoice;
+use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use recordings::result::Decision;
+use recordings::types::Mesh;
 
-const CHUNK: usize = 4096;
-const ROUNDS: usize = 12;
-/// Tukey's constant: 95 % efficient on Gaussian noise.
-const TUKEY: f64 = 4.685;
+/// Edge of a patch in median edges.
+const PATCH_EDGES: f32 = 10.0;
+/// A patch's keyframe counts in full from this sum of weights on.
+const FULL_WEIGHT: f64 = 20.0;
+/// Log deviation beyond which a patch is not thought to be diffuse.
+const DIFFUSE_LOG: f64 = 0.02;
+/// Rounds of reweighting.
+const ROUNDS: usize = 15;
 
-/// One logarithm of a sample: vertex, keyframe, log colour, weight.
-struct Entry {
-    keyframe: u16,
-    log: [f64; 3],
-    weight: f64,
+/// How the keyframes differ over a patch: log picture values up to a constant, per keyframe that sees it.
+struct Patch {
+    keyframes: Vec<u16>,
+    logs: Vec<[f64; 3]>,
+    weights: Vec<f64>,
+    color: Vec3,
+    facing: usize,
 }
 
-/// Gains g_j per channel (picture = gain · radiance), geometric mean 1, and what was decided. `observations` hold the
-/// pictures' own linear values, sorted by vertex by `offsets`.
+/// Gains g_j per channel (picture = gain · radiance), geometric mean 1, and what was decided.
 pub fn solve(
-    observations: &[Observation],
-    offsets: &[u32],
+    field: &LightField,
+    mesh: &Mesh,
+    median_edge: f32,
     keyframes: usize,
     choice: ExposureChoice,
     dark: f32,
@@ -31,235 +44,284 @@ pub fn solve(
     if choice == ExposureChoice::None || keyframes < 2 {
         return (neutral, None);
     }
-    let rows = entries(observations, offsets, dark);
-    if rows.is_empty() {
+    let patches = patches(field, mesh, median_edge * PATCH_EDGES, dark);
+    if patches.is_empty() {
         return (neutral, None);
     }
-    let all = |_: usize| true;
-    let scalar = || fit(&rows, keyframes, false, &all);
-    let rgb = || fit(&rows, keyframes, true, &all);
+    let all: Vec<&Patch> = patches.iter().collect();
+    let start = agreed(&all, keyframes);
+    let fit = |patches: &[&Patch], rgb: bool| refine(patches, start.clone(), rgb);
     let (logs, decision) = match choice {
         ExposureChoice::None => return (neutral, None),
-        ExposureChoice::Scalar => (scalar(), None),
-        ExposureChoice::Rgb => (rgb(), None),
+        ExposureChoice::Scalar => (fit(&all, false), None),
+        ExposureChoice::Rgb => (fit(&all, true), None),
         ExposureChoice::Auto => {
-            // Gains from one half of the vertices have to predict the other half.
-            let half = |r: usize| r.is_multiple_of(2);
-            let other = |r: usize| !r.is_multiple_of(2);
-            let [ignored, one, three] =
-                [vec![[0.0; 3]; keyframes], fit(&rows, keyframes, false, &half), fit(&rows, keyframes, true, &half)]
-                    .map(|logs| held_out(&rows, &logs, &other));
-            let use_rgb = three < 0.99 * one;
+            // Gains from one half of the patches have to predict the other half.
+            let (half, other): (Vec<_>, Vec<_>) = all.iter().enumerate().partition(|(i, _)| i.is_multiple_of(2));
+            let [half, other] = [half, other].map(|h| h.into_iter().map(|p| *p.1).collect::<Vec<&Patch>>());
+            let none = vec![[0.0; 3]; keyframes];
+            let [none, one, three] = [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l));
+            let use_rgb = three < 0.9 * one;
             let decision = Decision {
                 name: "exposure".into(),
                 choice: if use_rgb { "rgb" } else { "scalar" }.into(),
                 evidence: format!(
-                    "median log residual of held-out vertices: none {ignored:.4}, scalar {one:.4}, rgb {three:.4}"
+                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
                 ),
                 next_level: if use_rgb { String::new() } else { format!("rgb gains: {three:.4}") },
             };
-            (if use_rgb { rgb() } else { scalar() }, Some(decision))
+            (fit(&all, use_rgb), Some(decision))
         }
     };
     (logs.iter().map(|l| l.map(libm::exp)).collect(), decision)
 }
 
-fn entries(observations: &[Observation], offsets: &[u32], dark: f32) -> Vec<Vec<Entry>> {
-    offsets
-        .windows(2)
-        .filter_map(|w| {
-            let row: Vec<Entry> = observations[w[0] as usize..w[1] as usize]
-                .iter()
-                .filter(|o| o.weight > 0.0 && o.color.iter().all(|&c| c > dark))
-                .map(|o| Entry {
-                    keyframe: o.keyframe,
-                    log: o.color.map(|c| libm::log(f64::from(c))),
-                    weight: f64::from(o.weight),
-                })
-                .collect();
-            (row.len() >= 2).then_some(row)
+/// Surface patches: cubes of space, one per main direction of the normal.
+fn patches(field: &LightField, mesh: &Mesh, size: f32, dark: f32) -> Vec<Patch> {
+    let facing = |n: Vec3| {
+        let a = n.abs();
+        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
+        2 * axis + usize::from(n[axis] < 0.0)
+    };
+    let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..mesh.positions.len())
+        .filter(|&i| field.offsets[i + 1] - field.offsets[i] >= 2)
+        .map(|i| {
+            let cell = ((mesh.positions[i] - origin) / size).floor().as_ivec3();
+            (cell.to_array(), facing(mesh.normals[i]), i)
         })
-        .collect()
+        .collect();
+    keyed.sort_unstable();
+    let groups: Vec<&[([i32; 3], usize, usize)]> = keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
+    groups.par_iter().filter_map(|g| Patch::new(field, g, dark)).collect()
 }
 
-/// Sums of one chunk of vertices: normal matrix, one right-hand side per channel.
-struct Sums {
-    matrix: DMatrix<f64>,
-    right: [DVector<f64>; 3],
+/// A usable observation: vertex within the patch, keyframe within the patch, log colour, weight.
+struct Entry {
+    vertex: usize,
+    keyframe: usize,
+    log: [f64; 3],
+    weight: f64,
 }
 
-/// Log gains by iteratively reweighted least squares: log I_vj = log f_v + log g_j, log f_v eliminated.
-fn fit(rows: &[Vec<Entry>], keyframes: usize, rgb: bool, used: &(dyn Fn(usize) -> bool + Sync)) -> Vec<[f64; 3]> {
-    let mut logs = vec![[0.0; 3]; keyframes];
-    let mut scale = f64::INFINITY;
-    for _ in 0..ROUNDS {
-        let parts: Vec<Sums> = rows
-            .par_chunks(CHUNK)
-            .enumerate()
-            .map(|(chunk, part)| {
-                let mut sums = Sums {
-                    matrix: DMatrix::zeros(keyframes, keyframes),
-                    right: std::array::from_fn(|_| DVector::zeros(keyframes)),
-                };
-                for (_, row) in part.iter().enumerate().filter(|(i, _)| used(chunk * CHUNK + i)) {
-                    accumulate(row, &logs, scale, &mut sums);
-                }
-                sums
-            })
-            .collect();
-        let mut total = Sums {
-            matrix: DMatrix::zeros(keyframes, keyframes),
-            right: std::array::from_fn(|_| DVector::zeros(keyframes)),
-        };
-        for part in &parts {
-            total.matrix += &part.matrix;
-            for c in 0..3 {
-                total.right[c] += &part.right[c];
+impl Patch {
+    fn new(field: &LightField, members: &[([i32; 3], usize, usize)], dark: f32) -> Option<Self> {
+        let usable = |o: &&Observation| o.weight > 1e-3 && o.color.iter().all(|&c| c > dark);
+        let mut keyframes: Vec<u16> = Vec::new();
+        let row = |i: usize| &field.observations[field.offsets[i] as usize..field.offsets[i + 1] as usize];
+        for m in members {
+            keyframes.extend(row(m.2).iter().filter(usable).map(|o| o.keyframe));
+        }
+        keyframes.sort_unstable();
+        keyframes.dedup();
+        if keyframes.len() < 2 {
+            return None;
+        }
+        let mut entries = Vec::new();
+        let mut color = Vec3::ZERO;
+        for (vertex, m) in members.iter().enumerate() {
+            for o in row(m.2).iter().filter(usable) {
+                let log = o.color.map(|c| libm::log(f64::from(c)));
+                let keyframe = keyframes.partition_point(|&k| k < o.keyframe);
+                color += Vec3::from_array(log.map(|l| l as f32));
+                entries.push(Entry { vertex, keyframe, log, weight: f64::from(o.weight) });
             }
         }
-        let step = solve_centred(&total, rgb);
-        let moved = logs.iter().zip(&step).flat_map(|(a, b)| (0..3).map(|c| (a[c] - b[c]).abs())).fold(0.0, f64::max);
-        logs = step;
-        let residuals = residuals(rows, &logs, used);
-        let next = (1.4826 * median(residuals)).max(1e-4);
-        let settled = moved < 1e-6 && (next / scale - 1.0).abs() < 1e-3;
-        scale = next;
-        if settled {
+        let color = color / entries.len() as f32;
+        let (logs, weights) = two_way(&entries, members.len(), keyframes.len());
+        Some(Self { keyframes, logs, weights, color, facing: members[0].1 })
+    }
+
+    /// Log deviation of every keyframe from what `gains` predict, about the patch's weighted median, and the weights.
+    fn deviations(&self, gains: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let relative: Vec<[f64; 3]> = self
+            .keyframes
+            .iter()
+            .zip(&self.logs)
+            .map(|(&k, l)| std::array::from_fn(|c| l[c] - gains[k as usize][c]))
+            .collect();
+        let centre: [f64; 3] = std::array::from_fn(|c| {
+            let mut values: Vec<(f64, f64)> = relative.iter().zip(&self.weights).map(|(r, &w)| (r[c], w)).collect();
+            weighted_median(&mut values)
+        });
+        relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
+    }
+
+    /// Weighted mean square of the deviations, and the weight of that statement.
+    fn spread(&self, deviations: &[[f64; 3]]) -> (f64, f64) {
+        let total: f64 = self.weights.iter().sum();
+        let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
+        (sum / total.max(1e-12), total * (1.0 - 1.0 / self.keyframes.len() as f64))
+    }
+}
+
+fn mean_square(d: &[f64; 3]) -> f64 {
+    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
+}
+
+/// log = vertex + keyframe, by turns, with Huber weights; returns the keyframe terms and their capped weights.
+fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3]>, Vec<f64>) {
+    let mut by_keyframe = vec![[0.0; 3]; keyframes];
+    let mut weights = vec![0.0; keyframes];
+    let mut robust: Vec<f64> = entries.iter().map(|e| e.weight).collect();
+    let mut by_vertex = vec![[0.0; 3]; vertices];
+    for round in 0..6 {
+        average(entries, &robust, &mut by_vertex, |e| e.vertex, |e| by_keyframe[e.keyframe]);
+        average(entries, &robust, &mut by_keyframe, |e| e.keyframe, |e| by_vertex[e.vertex]);
+        if round % 2 == 1 {
+            let residual = |e: &Entry| {
+                let (v, k) = (by_vertex[e.vertex], by_keyframe[e.keyframe]);
+                mean_square(&std::array::from_fn(|c| e.log[c] - v[c] - k[c])).sqrt()
+            };
+            let residuals: Vec<f64> = entries.iter().map(residual).collect();
+            let bound = 1.5 * 1.4826 * median(residuals.clone()).max(1e-4);
+            for ((w, e), r) in robust.iter_mut().zip(entries).zip(residuals) {
+                *w = e.weight * (bound / r.max(bound));
+            }
+        }
+    }
+    for (e, w) in entries.iter().zip(&robust) {
+        weights[e.keyframe] += w;
+    }
+    (by_keyframe, weights.into_iter().map(|w| w / (w + FULL_WEIGHT)).collect())
+}
+
+fn average(
+    entries: &[Entry],
+    weights: &[f64],
+    into: &mut [[f64; 3]],
+    index: impl Fn(&Entry) -> usize,
+    other: impl Fn(&Entry) -> [f64; 3],
+) {
+    let mut sums = vec![([0.0; 3], 0.0); into.len()];
+    for (e, &w) in entries.iter().zip(weights) {
+        let o = other(e);
+        let sum = &mut sums[index(e)];
+        for ((s, log), o) in sum.0.iter_mut().zip(&e.log).zip(&o) {
+            *s += w * (log - o);
+        }
+        sum.1 += w;
+    }
+    for (to, (sum, weight)) in into.iter_mut().zip(sums) {
+        if weight > 0.0 {
+            *to = sum.map(|s| s / weight);
+        }
+    }
+}
+
+/// Where to start: the gains of that group of patches (all, of one colour, facing one way) with which most patches
+/// agree. A glossy table may well be most of the scene; its patches still do not agree among themselves.
+fn agreed(patches: &[&Patch], keyframes: usize) -> Vec<[f64; 3]> {
+    let mut groups: Vec<Vec<&Patch>> = vec![patches.to_vec()];
+    groups.extend((0..6).map(|f| patches.iter().copied().filter(|p| p.facing == f).collect()));
+    groups.extend(color_groups(patches));
+    let candidates: Vec<Vec<[f64; 3]>> = groups
+        .par_iter()
+        .filter(|g| !g.is_empty())
+        .map(|g| {
+            let start = refine(g, vec![[0.0; 3]; keyframes], false);
+            refine(patches, start, false)
+        })
+        .collect();
+    let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c)).collect();
+    let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
+    candidates.into_iter().nth(best).unwrap_or_else(|| vec![[0.0; 3]; keyframes])
+}
+
+/// Patches of like chromaticity, about up to six far-apart seeds.
+fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
+    let chroma = |p: &Patch| Vec3::new(p.color.x - p.color.y, p.color.z - p.color.y, 0.0);
+    let Some(first) = patches.first() else { return Vec::new() };
+    let mut seeds = vec![chroma(first)];
+    let nearest = |p: &Patch, seeds: &[Vec3]| {
+        let distance = |s: &Vec3| chroma(p).distance(*s);
+        (0..seeds.len()).fold(0, |b, i| if distance(&seeds[i]) < distance(&seeds[b]) { i } else { b })
+    };
+    for _ in 1..6 {
+        let gap = |p: &Patch| chroma(p).distance(seeds[nearest(p, &seeds)]);
+        let far = patches.iter().fold(patches[0], |b, p| if gap(p) > gap(b) { p } else { b });
+        seeds.push(chroma(far));
+    }
+    let mut groups = vec![Vec::new(); seeds.len()];
+    for p in patches {
+        groups[nearest(p, &seeds)].push(*p);
+    }
+    groups
+}
+
+/// Share of the patches' weight that the gains leave unexplained, 0 to 1.
+fn disagreement(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for p in patches {
+        let (spread, weight) = p.spread(&p.deviations(gains));
+        sum += weight * spread / (spread + DIFFUSE_LOG * DIFFUSE_LOG);
+        total += weight;
+    }
+    sum / f64::max(total, 1e-12)
+}
+
+/// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
+fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 3]> {
+    let n = gains.len();
+    for _ in 0..ROUNDS {
+        let mut matrix = DMatrix::<f64>::zeros(n, n);
+        let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
+        for p in patches {
+            let deviations = p.deviations(&gains);
+            // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
+            let (spread, _) = p.spread(&deviations);
+            let trust = DIFFUSE_LOG * DIFFUSE_LOG / (DIFFUSE_LOG * DIFFUSE_LOG + spread);
+            let weights: Vec<f64> = p
+                .weights
+                .iter()
+                .zip(&deviations)
+                .map(|(w, d)| {
+                    let x = DIFFUSE_LOG * DIFFUSE_LOG / (DIFFUSE_LOG * DIFFUSE_LOG + mean_square(d));
+                    w * trust * trust * x * x
+                })
+                .collect();
+            let total: f64 = weights.iter().sum::<f64>().max(1e-12);
+            let mean: [f64; 3] =
+                std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);
+            for (a, (wa, log)) in p.keyframes.iter().zip(weights.iter().zip(&p.logs)) {
+                let i = *a as usize;
+                matrix[(i, i)] += wa;
+                for ((r, l), m) in right.iter_mut().zip(log).zip(&mean) {
+                    r[i] += wa * (l - m);
+                }
+                for (b, wb) in p.keyframes.iter().zip(&weights) {
+                    matrix[(i, *b as usize)] -= wa * wb / total;
+                }
+            }
+        }
+        let next = solve_centred(matrix, &right, rgb);
+        let moved = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        gains = next;
+        if moved < 1e-5 {
             break;
         }
     }
-    logs
+    gains
 }
 
-/// Adds one vertex: the weights follow its residuals about its own robust mean.
-fn accumulate(row: &[Entry], logs: &[[f64; 3]], scale: f64, sums: &mut Sums) {
-    let centre = centre(row, logs);
-    let mut weights = Vec::with_capacity(row.len());
-    // A vertex whose views disagree (gloss, wrong pose) tells little with any of them.
-    let mut spread = 0.0;
-    let mut weight_sum = 0.0;
-    for e in row {
-        let r2 = residual2(e, logs, &centre);
-        let x = r2 / (scale * scale * TUKEY * TUKEY);
-        let robust = if scale.is_infinite() {
-            1.0
-        } else if x < 1.0 {
-            (1.0 - x) * (1.0 - x)
-        } else {
-            0.0
-        };
-        weights.push(e.weight * robust);
-        spread += e.weight * r2.min(scale * scale * TUKEY * TUKEY);
-        weight_sum += e.weight;
-    }
-    if scale.is_finite() && weight_sum > 0.0 {
-        let trust = scale * scale / (scale * scale + spread / weight_sum);
-        weights.iter_mut().for_each(|w| *w *= trust * trust);
-    }
-    let total: f64 = weights.iter().sum();
-    if total <= 0.0 {
-        return;
-    }
-    let mean: [f64; 3] =
-        std::array::from_fn(|c| row.iter().zip(&weights).map(|(e, w)| w * e.log[c]).sum::<f64>() / total);
-    for (a, wa) in row.iter().zip(&weights) {
-        let i = a.keyframe as usize;
-        sums.matrix[(i, i)] += wa;
-        for ((right, log), mean) in sums.right.iter_mut().zip(&a.log).zip(&mean) {
-            right[i] += wa * (log - mean);
-        }
-        for (b, wb) in row.iter().zip(&weights) {
-            sums.matrix[(i, b.keyframe as usize)] -= wa * wb / total;
-        }
-    }
-}
-
-/// Weighted median per channel of the exposure-free logs.
-fn centre(row: &[Entry], logs: &[[f64; 3]]) -> [f64; 3] {
-    std::array::from_fn(|c| {
-        let mut values: Vec<(f64, f64)> =
-            row.iter().map(|e| (e.log[c] - logs[e.keyframe as usize][c], e.weight)).collect();
-        weighted_median(&mut values)
-    })
-}
-
-/// Mean squared residual over the channels.
-fn residual2(e: &Entry, logs: &[[f64; 3]], centre: &[f64; 3]) -> f64 {
-    let l = &logs[e.keyframe as usize];
-    (0..3).map(|c| (e.log[c] - l[c] - centre[c]) * (e.log[c] - l[c] - centre[c])).sum::<f64>() / 3.0
-}
-
-fn residuals(rows: &[Vec<Entry>], logs: &[[f64; 3]], used: &(dyn Fn(usize) -> bool + Sync)) -> Vec<f64> {
-    let parts: Vec<Vec<f64>> = rows
-        .par_chunks(CHUNK)
-        .enumerate()
-        .map(|(chunk, part)| {
-            let mut out = Vec::new();
-            for (i, row) in part.iter().enumerate() {
-                if used(chunk * CHUNK + i) {
-                    let centre = centre(row, logs);
-                    out.extend(row.iter().map(|e| residual2(e, logs, &centre).sqrt()));
-                }
-            }
-            out
-        })
-        .collect();
-    parts.concat()
-}
-
-fn held_out(rows: &[Vec<Entry>], logs: &[[f64; 3]], used: &(dyn Fn(usize) -> bool + Sync)) -> f64 {
-    median(residuals(rows, logs, used))
-}
-
-fn solve_centred(sums: &Sums, rgb: bool) -> Vec<[f64; 3]> {
-    let n = sums.matrix.nrows();
-    let trace = sums.matrix.trace().max(1e-300) / n as f64;
-    let mut matrix = sums.matrix.clone();
-    for i in 0..n {
-        // The common factor is free, and so is a keyframe without observations: both are held at their prior, 1.
-        matrix[(i, i)] += 1e-9 * trace + 1e-12;
-        for j in 0..n {
-            matrix[(i, j)] += trace / n as f64;
-        }
-    }
+fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool) -> Vec<[f64; 3]> {
+    let n = matrix.nrows();
+    let mean_diagonal = matrix.trace() / n as f64;
+    // The common factor is free, and so is a keyframe without observations: both are held at their prior, 1.
+    matrix += DMatrix::from_element(n, n, mean_diagonal / n as f64);
+    matrix += DMatrix::identity(n, n) * (1e-6 * mean_diagonal + 1e-12);
     let mut logs = vec![[0.0; 3]; n];
     let Some(cholesky) = matrix.cholesky() else {
         return logs;
     };
-    if rgb {
-        let x = sums.right.each_ref().map(|right| cholesky.solve(right));
-        logs.iter_mut().enumerate().for_each(|(j, l)| *l = x.each_ref().map(|x| x[j]));
+    let x = if rgb {
+        right.each_ref().map(|r| cholesky.solve(r))
     } else {
-        let mean = (&sums.right[0] + &sums.right[1] + &sums.right[2]) / 3.0;
-        let x = cholesky.solve(&mean);
-        (0..n).for_each(|j| logs[j] = [x[j]; 3]);
-    }
+        let mean = cholesky.solve(&((&right[0] + &right[1] + &right[2]) / 3.0));
+        [mean.clone(), mean.clone(), mean]
+    };
+    logs.iter_mut().enumerate().for_each(|(j, l)| *l = x.each_ref().map(|x| x[j]));
     let mean = logs.iter().flatten().sum::<f64>() / (3 * n) as f64;
     logs.iter_mut().flatten().for_each(|l| *l -= mean);
     logs
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
-/// The value at which half the weight lies below; the values are sorted in place.
-pub fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
-    values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    let half = values.iter().map(|v| v.1).sum::<f64>() / 2.0;
-    let mut sum = 0.0;
-    for (i, v) in values.iter().enumerate() {
-        sum += v.1;
-        if sum > half {
-            return v.0;
-        }
-        if sum == half && i + 1 < values.len() {
-            return 0.5 * (v.0 + values[i + 1].0);
-        }
-    }
-    values.last().map_or(0.0, |v| v.0)
 }

@@ -13,6 +13,7 @@ pub mod preview;
 mod raster;
 mod regions;
 pub mod remesh;
+mod robust;
 pub mod scene;
 pub mod segmentation;
 pub mod sh;
