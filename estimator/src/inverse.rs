@@ -1,1 +1,461 @@
 //! Light and segment albedo from lit colours (Eqs. 9–12).
+//!
+//! Default solver: the light is non-negative radiance over a few hundred directions, each segment has one albedo, and
+//! the two are found in turn on per-segment sufficient statistics, so that no step touches a vertex.
+
+use crate::random::hash;
+use crate::sh;
+use crate::transfer::Transfer;
+use glam::Vec3;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// Directions that carry radiance.
+const DIRECTIONS: usize = 320;
+/// Vertices that vote at most: evenly strided; thousands of times the unknowns is plenty.
+const MOST_VOTES: usize = 30_000;
+/// Consecutive vertices that are held out together, since neighbours say the same.
+const FOLD_BLOCK: u32 = 64;
+/// One block in so many is held out.
+const FOLDS: u32 = 5;
+/// Votes of one partial sum.
+const PIECE: usize = 1024;
+/// Lit colours count relative to themselves, but not below this share of the segment's median.
+const DARK_FLOOR: f64 = 0.15;
+/// Residuals beyond this many robust standard deviations count less (Huber).
+const HUBER: f64 = 1.5;
+/// Rounds of reweighting.
+const REWEIGHTINGS: usize = 3;
+/// Alternations of light and albedo.
+const MOST_ALTERNATIONS: usize = 80;
+/// Alternation ends when no log albedo moves by more.
+const ALBEDO_TOLERANCE: f64 = 1e-4;
+/// Sweeps of the non-negative solver.
+const MOST_SWEEPS: usize = 60;
+/// Weights of the pull towards the mean radiance that are tried, strongest first.
+const PULLS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
+/// A weaker pull must lower the held-out error by this share to be taken.
+const WORTHWHILE: f64 = 0.01;
+/// Lit colours of neighbouring vertices err together: so many vertices count as one independent measurement.
+const CORRELATED_VERTICES: f64 = 25.0;
+
+/// What is to be explained.
+#[derive(Debug, Clone, Copy)]
+pub struct Observed<'a> {
+    /// Transfer of every vertex.
+    pub transfer: &'a Transfer,
+    /// Lit colour f of every vertex.
+    pub lit_color: &'a [Vec3],
+    /// Its weight; 0 = never seen.
+    pub lit_weight: &'a [f32],
+    /// Segment of every vertex.
+    pub segment: &'a [u32],
+    /// Number of segments.
+    pub segments: usize,
+}
+
+/// Light and segment albedos, up to one factor per channel.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// `bands²` rows of coefficients.
+    pub light: Vec<[f64; 3]>,
+    /// Posterior standard deviation, same shape.
+    pub standard_deviation: Vec<[f64; 3]>,
+    /// The non-negative radiance over [`directions`].
+    pub radiance: Vec<[f64; 3]>,
+    /// Albedo per segment.
+    pub albedo: Vec<[f64; 3]>,
+    /// Relative RMS error on vertices that were held out.
+    pub held_out: f64,
+    /// The pull towards the mean that held-out error chose.
+    pub pull: f64,
+    /// Condition number of the light's normal equations, before the pull.
+    pub condition: f64,
+}
+
+/// The directions that [`Solution::radiance`] refers to.
+#[must_use]
+pub fn directions() -> Vec<glam::DVec3> {
+    sh::even_directions(DIRECTIONS)
+}
+
+/// Sufficient statistics of one segment and channel: Σ w T Tᵀ, Σ w f T, Σ w f², Σ w.
+#[derive(Debug, Clone)]
+struct Statistics {
+    gram: DMatrix<f64>,
+    cross: DVector<f64>,
+    square: f64,
+    weight: f64,
+}
+
+impl Statistics {
+    fn zero(k: usize) -> Self {
+        Self { gram: DMatrix::zeros(k, k), cross: DVector::zeros(k), square: 0.0, weight: 0.0 }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.gram += &other.gram;
+        self.cross += &other.cross;
+        self.square += other.square;
+        self.weight += other.weight;
+    }
+
+    /// Σ w (f − a E)².
+    fn residual(&self, albedo: f64, light: &DVector<f64>) -> f64 {
+        let predicted = light.dot(&(&self.gram * light));
+        (self.square - 2.0 * albedo * self.cross.dot(light) + albedo * albedo * predicted).max(0.0)
+    }
+}
+
+/// One vertex's say.
+#[derive(Debug, Clone, Copy)]
+struct Vote {
+    vertex: u32,
+    segment: u32,
+    held_out: bool,
+}
+
+/// Solves for light and segment albedo. `bands` at most those of the transfer.
+#[must_use]
+pub fn solve(observed: &Observed, bands: usize) -> Solution {
+    let k = bands * bands;
+    let votes = votes(observed);
+    let basis = Basis::new(k);
+    let channels: Vec<Channel> =
+        [0, 1, 2].into_par_iter().map(|c| solve_channel(observed, &votes, &basis, c)).collect();
+    let zip3 = |n: usize, get: &dyn Fn(&Channel, usize) -> f64| -> Vec<[f64; 3]> {
+        (0..n).map(|i| [0, 1, 2].map(|c| get(&channels[c], i))).collect()
+    };
+    let mean = |get: &dyn Fn(&Channel) -> f64| channels.iter().map(get).sum::<f64>() / 3.0;
+    Solution {
+        light: zip3(k, &|c, i| c.light[i]),
+        standard_deviation: zip3(k, &|c, i| c.standard_deviation[i]),
+        radiance: zip3(DIRECTIONS, &|c, i| c.radiance[i]),
+        albedo: zip3(observed.segments, &|c, i| c.albedo[i]),
+        held_out: libm::sqrt(mean(&|c| c.held_out)),
+        pull: mean(&|c| c.pull),
+        condition: channels.iter().map(|c| c.condition).fold(0.0, f64::max),
+    }
+}
+
+struct Channel {
+    light: DVector<f64>,
+    standard_deviation: Vec<f64>,
+    radiance: DVector<f64>,
+    albedo: Vec<f64>,
+    held_out: f64,
+    pull: f64,
+    condition: f64,
+}
+
+/// SH values at the radiance directions, times the solid angle of each: light = `project` · radiance.
+struct Basis {
+    project: DMatrix<f64>,
+}
+
+impl Basis {
+    fn new(k: usize) -> Self {
+        let mut y = vec![0.0; k];
+        let mut project = DMatrix::zeros(k, DIRECTIONS);
+        for (d, direction) in directions().into_iter().enumerate() {
+            sh::eval(direction, &mut y);
+            project
+                .column_mut(d)
+                .iter_mut()
+                .zip(&y)
+                .for_each(|(p, y)| *p = y * 4.0 * std::f64::consts::PI / DIRECTIONS as f64);
+        }
+        Self { project }
+    }
+}
+
+fn votes(observed: &Observed) -> Vec<Vote> {
+    let usable = |i: usize| {
+        let f = observed.lit_color[i];
+        observed.lit_weight[i] > 0.0 && f.is_finite() && f.min_element() >= 0.0 && f.max_element() > 0.0
+    };
+    let all: Vec<usize> = (0..observed.lit_color.len()).filter(|&i| usable(i)).collect();
+    let stride = all.len().div_ceil(MOST_VOTES).max(1);
+    let mut votes: Vec<Vote> = all
+        .into_iter()
+        .step_by(stride)
+        .map(|i| Vote {
+            vertex: i as u32,
+            segment: observed.segment[i],
+            held_out: hash(i as u32 / FOLD_BLOCK, 0xf01d).is_multiple_of(FOLDS),
+        })
+        .collect();
+    votes.sort_by_key(|v| v.segment);
+    votes
+}
+
+/// Statistics of every segment: those that are fitted, and those held out.
+fn accumulate(observed: &Observed, votes: &[Vote], weights: &[f64], k: usize, channel: usize) -> [Vec<Statistics>; 2] {
+    let mut pieces: Vec<(u32, std::ops::Range<usize>)> = Vec::new();
+    let mut start = 0;
+    while start < votes.len() {
+        let segment = votes[start].segment;
+        let length = votes[start..].iter().take(PIECE).take_while(|v| v.segment == segment).count();
+        pieces.push((segment, start..start + length));
+        start += length;
+    }
+    let partial: Vec<[Statistics; 2]> = pieces
+        .par_iter()
+        .map(|(_, range)| {
+            let mut sums = [Statistics::zero(k), Statistics::zero(k)];
+            let mut row = vec![0.0; k];
+            for j in range.clone() {
+                let vertex = votes[j].vertex as usize;
+                let w = weights[j];
+                if w <= 0.0 {
+                    continue;
+                }
+                observed.transfer.row(vertex, channel, &mut row);
+                let f = f64::from(observed.lit_color[vertex][channel]);
+                let sum = &mut sums[usize::from(votes[j].held_out)];
+                for (a, ta) in row.iter().enumerate() {
+                    let wt = w * ta;
+                    let column = &mut sum.gram.column_mut(a);
+                    for (g, tb) in column.iter_mut().zip(&row[..=a]) {
+                        *g += wt * tb;
+                    }
+                    sum.cross[a] += wt * f;
+                }
+                sum.square += w * f * f;
+                sum.weight += w;
+            }
+            sums
+        })
+        .collect();
+    let mut total = [vec![Statistics::zero(k); observed.segments], vec![Statistics::zero(k); observed.segments]];
+    for ((segment, _), sums) in pieces.iter().zip(&partial) {
+        for (total, sum) in total.iter_mut().zip(sums) {
+            total[*segment as usize].add(sum);
+        }
+    }
+    for statistics in total.iter_mut().flatten() {
+        statistics.gram.fill_lower_triangle_with_upper_triangle();
+    }
+    total
+}
+
+fn solve_channel(observed: &Observed, votes: &[Vote], basis: &Basis, channel: usize) -> Channel {
+    let k = basis.project.nrows();
+    let color = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize][channel]);
+    let mut medians = vec![0.0; observed.segments];
+    for group in votes.chunk_by(|a, b| a.segment == b.segment) {
+        medians[group[0].segment as usize] = median(group.iter().map(color).collect());
+    }
+    let overall = median(votes.iter().map(color).collect()).max(f64::MIN_POSITIVE);
+    // Relative weights: a lit colour errs in proportion to itself.
+    let relative = |v: &Vote, predicted: f64| {
+        let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
+        f64::from(observed.lit_weight[v.vertex as usize]).min(1.0) / (size * size)
+    };
+    let mut weights: Vec<f64> = votes.iter().map(|v| relative(v, color(v))).collect();
+    // First round: uniform light, each segment as bright as its colours say.
+    let mut state = Alternation {
+        radiance: DVector::from_element(DIRECTIONS, 1.0),
+        albedo: medians.iter().map(|m| m.max(1e-6 * overall) / overall * 0.5).collect(),
+    };
+    let mut row = vec![0.0; k];
+    let mut chosen = (PULLS[2], f64::INFINITY);
+    let mut statistics = accumulate(observed, votes, &weights, k, channel);
+    for round in 0..REWEIGHTINGS {
+        if round + 1 == REWEIGHTINGS {
+            chosen = choose_pull(&statistics, basis, &mut state);
+        }
+        state.run(&statistics[0], basis, chosen.0);
+        if round + 1 < REWEIGHTINGS {
+            let light = &basis.project * &state.radiance;
+            let predicted: Vec<f64> = votes
+                .iter()
+                .map(|v| {
+                    observed.transfer.row(v.vertex as usize, channel, &mut row);
+                    let e: f64 = row.iter().zip(light.iter()).map(|(t, l)| t * l).sum();
+                    state.albedo[v.segment as usize] * e.max(0.0)
+                })
+                .collect();
+            let size = |v: &Vote, p: f64| p.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
+            let off: Vec<f64> =
+                votes.iter().zip(&predicted).map(|(v, p)| ((color(v) - p) / size(v, *p)).abs()).collect();
+            let sigma = 1.4826 * median(off.clone()) + 1e-9;
+            for ((w, v), (p, r)) in weights.iter_mut().zip(votes).zip(predicted.iter().zip(&off)) {
+                *w = relative(v, *p) * (HUBER * sigma / r.max(HUBER * sigma));
+            }
+            statistics = accumulate(observed, votes, &weights, k, channel);
+        }
+    }
+    finish(&statistics, basis, &state, chosen)
+}
+
+/// Light and albedos on their way.
+#[derive(Debug, Clone)]
+struct Alternation {
+    radiance: DVector<f64>,
+    albedo: Vec<f64>,
+}
+
+impl Alternation {
+    /// Light and albedo in turn until nothing moves. The free factor is held by the mean radiance: 1.
+    fn run(&mut self, statistics: &[Statistics], basis: &Basis, pull: f64) {
+        let k = basis.project.nrows();
+        let total: f64 = statistics.iter().map(|s| s.square).sum();
+        if total <= 0.0 {
+            return;
+        }
+        for _ in 0..MOST_ALTERNATIONS {
+            let mut gram = DMatrix::zeros(k, k);
+            let mut cross = DVector::zeros(k);
+            for (s, a) in statistics.iter().zip(&self.albedo) {
+                gram += &s.gram * (a * a);
+                cross += &s.cross * *a;
+            }
+            // Eq. (10) for non-negative radiance.
+            let half = &gram * &basis.project;
+            let mut normal = basis.project.tr_mul(&half);
+            let target = basis.project.tr_mul(&cross);
+            // Pull towards the mean, in units of the data's own weight: pull · total · mean of (r − 1)².
+            let strength = pull * total / DIRECTIONS as f64;
+            for d in 0..DIRECTIONS {
+                normal[(d, d)] += strength;
+            }
+            non_negative(&normal, &target.add_scalar(strength), &mut self.radiance);
+            let mean = self.radiance.mean();
+            if mean <= 0.0 || !mean.is_finite() {
+                self.radiance.fill(1.0);
+                return;
+            }
+            self.radiance /= mean;
+            let light = &basis.project * &self.radiance;
+            // Eq. (11), default: a_u = Σ f E / Σ E².
+            let mut moved = 0.0f64;
+            for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
+                let predicted = light.dot(&(&s.gram * &light));
+                let explained = s.cross.dot(&light);
+                if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
+                    let new = explained / predicted;
+                    moved = moved.max(libm::log(new / *a).abs());
+                    *a = new;
+                }
+            }
+            if moved < ALBEDO_TOLERANCE {
+                break;
+            }
+        }
+    }
+}
+
+/// The weakest pull that still lowers the held-out error.
+fn choose_pull(statistics: &[Vec<Statistics>; 2], basis: &Basis, state: &mut Alternation) -> (f64, f64) {
+    let mut best: Option<(f64, f64, Alternation)> = None;
+    for pull in PULLS {
+        let mut trial = state.clone();
+        trial.run(&statistics[0], basis, pull);
+        let error = held_out(&statistics[1], basis, &trial);
+        if best.as_ref().is_none_or(|b| error < b.1 * (1.0 - WORTHWHILE)) {
+            best = Some((pull, error, trial));
+        }
+    }
+    match best {
+        Some((pull, error, trial)) => {
+            *state = trial;
+            (pull, error)
+        }
+        None => (PULLS[0], f64::INFINITY),
+    }
+}
+
+/// Mean squared relative error on what was held out.
+fn held_out(statistics: &[Statistics], basis: &Basis, state: &Alternation) -> f64 {
+    let light = &basis.project * &state.radiance;
+    let (mut error, mut size) = (0.0, 0.0);
+    for (s, a) in statistics.iter().zip(&state.albedo) {
+        error += s.residual(*a, &light);
+        size += s.square;
+    }
+    if size > 0.0 { error / size } else { 0.0 }
+}
+
+/// `min ½ rᵀ A r − bᵀ r` over r ≥ 0 by coordinate descent from where `r` stands.
+fn non_negative(a: &DMatrix<f64>, b: &DVector<f64>, r: &mut DVector<f64>) {
+    let mut gradient = a * &*r - b;
+    for _ in 0..MOST_SWEEPS {
+        let (mut moved, mut size) = (0.0, 0.0);
+        for d in 0..r.len() {
+            let diagonal = a[(d, d)];
+            if diagonal <= 0.0 {
+                continue;
+            }
+            let step = (r[d] - gradient[d] / diagonal).max(0.0) - r[d];
+            if step != 0.0 {
+                r[d] += step;
+                gradient.axpy(step, &a.column(d), 1.0);
+                moved += step * step;
+            }
+            size += r[d] * r[d];
+        }
+        if moved <= 1e-10 * size {
+            break;
+        }
+    }
+}
+
+fn finish(statistics: &[Vec<Statistics>; 2], basis: &Basis, state: &Alternation, chosen: (f64, f64)) -> Channel {
+    let k = basis.project.nrows();
+    let light = &basis.project * &state.radiance;
+    let mut gram = DMatrix::zeros(k, k);
+    let (mut residual, mut total) = (0.0, 0.0);
+    for s in statistics.iter().flatten().zip(state.albedo.iter().cycle()) {
+        let (s, a) = s;
+        gram += &s.gram * (a * a);
+        residual += s.residual(*a, &light);
+        total += s.square;
+    }
+    let (condition, standard_deviation) = posterior(gram, residual, total, chosen.0, k);
+    Channel {
+        light,
+        standard_deviation,
+        radiance: state.radiance.clone(),
+        albedo: state.albedo.clone(),
+        held_out: chosen.1,
+        pull: chosen.0,
+        condition,
+    }
+}
+
+/// Condition number, and standard deviation of each coefficient: noise variance times the inverse of the system with its
+/// pull. What the data do not determine is left with the deviation that the pull allows.
+fn posterior(gram: DMatrix<f64>, residual: f64, total: f64, pull: f64, k: usize) -> (f64, Vec<f64>) {
+    if total <= 0.0 {
+        return (f64::INFINITY, vec![f64::MAX.sqrt(); k]);
+    }
+    let eigen = gram.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    let smallest = eigen.eigenvalues.min();
+    let condition = if smallest > 0.0 { largest / smallest } else { f64::INFINITY };
+    // mean of (r − 1)² over directions = Σ (i_k)² / 4π for the bands above 0.
+    let prior = (pull * total / (4.0 * std::f64::consts::PI)).max(1e-12 * largest);
+    let noise = (residual / total).max(1e-12) * CORRELATED_VERTICES;
+    let deviation = (0..k)
+        .map(|i| {
+            let variance: f64 = eigen
+                .eigenvectors
+                .row(i)
+                .iter()
+                .zip(eigen.eigenvalues.iter())
+                .map(|(v, e)| v * v * noise / (e.max(0.0) + prior))
+                .sum();
+            libm::sqrt(variance)
+        })
+        .collect();
+    (condition, deviation)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}

@@ -4,12 +4,14 @@ pub mod albedo;
 pub mod association;
 pub mod export;
 pub mod exposure;
+pub mod factorise;
 mod graph;
 pub mod inverse;
 mod picture;
 pub mod plan;
 pub mod pose;
 pub mod preview;
+pub mod random;
 mod raster;
 mod regions;
 pub mod remesh;
@@ -24,8 +26,13 @@ pub mod thickness;
 pub mod transfer;
 pub mod witness;
 
-use firmware_config::EstimatorConfig;
-use recordings::result::Estimate;
+use crate::factorise::{Colors, Factorised, factorise};
+use crate::plan::Plan;
+use crate::scene::Scene;
+use crate::specular::{Gloss, Reflection};
+use firmware_config::{EstimatorConfig, Switch, TransferChoice};
+use glam::Vec3;
+use recordings::result::{Decision, Estimate, Light, ResultKeyframe, Segment};
 use recordings::scan::Scan;
 use std::time::Duration;
 
@@ -52,15 +59,183 @@ pub trait Progress: Sync {
     fn stage(&self, name: &'static str, fraction: f64);
 }
 
-/// Estimates light and materials.
+/// Estimates light and materials. Reads like the paper's section list.
 ///
 /// # Errors
-/// The scan is unusable: no vertices, or no usable keyframe.
+/// The scan is unusable: no vertices, or no keyframe that can be read.
 pub fn estimate(
-    _scan: &Scan,
-    _config: &EstimatorConfig,
-    _options: &Options,
-    _progress: &dyn Progress,
+    scan: &Scan,
+    config: &EstimatorConfig,
+    options: &Options,
+    progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
-    unimplemented!()
+    let mut plan = Plan::new(options);
+    let mut decisions = Vec::new();
+
+    // §3.1: a regular mesh, and the keyframes' colours on it (Eqs. 2–5).
+    progress.stage("mesh", 0.0);
+    let mesh = remesh::regularise(&scan.mesh, config, scan.source);
+    let scene = Scene::new(&mesh);
+    usable(&mesh)?;
+    let response = scan.sensor.response;
+    let mut fields = association::associate(&mesh, &scene, &scan.keyframes, &response, config, progress);
+    decisions.append(&mut fields.decisions);
+    if fields.lit_weight.iter().all(|w| *w <= 0.0) {
+        return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
+    }
+
+    // §3.2: segments (Eqs. 6–7).
+    progress.stage("segmentation", 0.0);
+    let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
+    let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
+
+    // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
+    let rays = plan.rays(&mesh, &scene, config);
+    let bands = if config.bands > 0 { config.bands as usize } else { sh::MAX_BANDS };
+    let traced = if config.transfer == TransferChoice::Diffuse {
+        transfer::unoccluded(&mesh, bands)
+    } else {
+        transfer::trace(&mesh, &scene, bands, rays, config.seed, &|done| progress.stage("transfer", done))
+    };
+    let gi = matches!(config.transfer, TransferChoice::Gi | TransferChoice::Auto);
+    progress.stage("factorisation", 0.0);
+    let colors = Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
+    let mut found = factorise(traced, &colors, gi, bands, config);
+
+    // §3.4: specular weights (Eq. 13); lit colours without gloss are factorised once more.
+    let lit_with_gloss = fields.lit_color.clone();
+    let mut gloss = vec![Gloss::NONE; segments];
+    if config.specular != Switch::Off {
+        progress.stage("specular", 0.0);
+        let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+        gloss = specular::fit(&reflection, &fields, &segment, segments);
+        if gloss.iter().any(|g| g.significant) {
+            let cleaned = specular::clean(&reflection, &fields, &segment, &gloss);
+            let before = found.solution.held_out;
+            let colors = Colors { lit_color: &cleaned, ..colors };
+            let again = factorise(found.transfer.traced, &colors, gi, bands, config);
+            decisions.push(refit_decision(before, again.solution.held_out));
+            found = again;
+            fields.lit_color = cleaned;
+            let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+            gloss = specular::fit(&reflection, &fields, &segment, segments);
+        }
+    }
+
+    // Frames that no step used.
+    progress.stage("witnesses", 0.0);
+    let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
+    let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+    let model = witness::Model {
+        reflection,
+        lit_color: &lit_with_gloss,
+        lit_weight: &fields.lit_weight,
+        diffuse: &diffuse,
+        segment: &segment,
+        gloss: &gloss,
+    };
+    let witnesses = scan.witnesses.iter().filter_map(|w| witness::compare(&model, w, &response)).collect();
+    decisions.push(transfer_decision(&found, rays));
+
+    let keyframes = scan.keyframes.iter().zip(&fields.views);
+    let keyframes = keyframes.map(|(k, v)| ResultKeyframe {
+        name: k.name.clone(),
+        timestamp_ns: k.color.timestamp_ns,
+        gain: v.gain,
+        world_from_camera: v.world_from_camera,
+        camera: k.camera,
+        residual_px: v.residual_px,
+    });
+    let mut warnings = Vec::new();
+    if scan.keyframes.len() < 2 {
+        warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());
+    }
+    progress.stage("done", 1.0);
+    Ok(Estimate {
+        name: scan.name.clone(),
+        response,
+        keyframes: keyframes.collect(),
+        segments: segment_table(&segment, &found, &gloss),
+        light: light(&found),
+        mesh,
+        segment,
+        lit_color: fields.lit_color,
+        albedo: found.detail.albedo,
+        confidence: found.detail.confidence,
+        transfer: match (config.transfer, gi) {
+            (TransferChoice::Diffuse, _) => "diffuse",
+            (_, true) => "gi",
+            _ => "shade",
+        }
+        .into(),
+        decisions,
+        cuts: plan.cuts,
+        warnings,
+        albedo_scale_rule: factorise::SCALE_RULE.into(),
+        witnesses,
+    })
+}
+
+fn usable(mesh: &recordings::types::Mesh) -> Result<(), EstimateError> {
+    if mesh.positions.is_empty() || mesh.triangles.is_empty() {
+        return Err(EstimateError::Unusable("the mesh has no triangle".into()));
+    }
+    Ok(())
+}
+
+fn light(found: &Factorised) -> Light {
+    Light {
+        coefficients: found.solution.light.clone(),
+        standard_deviation: found.solution.standard_deviation.clone(),
+        directions: inverse::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
+        radiance: found.solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
+    }
+}
+
+fn segment_table(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
+    let mut vertices = vec![0u32; gloss.len()];
+    for s in segment {
+        vertices[*s as usize] += 1;
+    }
+    let rows = vertices.into_iter().zip(&found.solution.albedo).zip(gloss);
+    rows.map(|((vertices, albedo), g)| Segment {
+        vertices,
+        albedo: *albedo,
+        w_d: if g.significant { g.w_d } else { 1.0 },
+        w_s: if g.significant { g.w_s } else { 0.0 },
+        w_s_error: g.error,
+    })
+    .collect()
+}
+
+fn refit_decision(before: f64, after: f64) -> Decision {
+    Decision {
+        name: "specular".into(),
+        choice: "lit colours cleaned of gloss and factorised once more".into(),
+        evidence: format!("held-out error {before:.4} before, {after:.4} after"),
+        next_level: "none".into(),
+    }
+}
+
+fn transfer_decision(found: &Factorised, rays: u32) -> Decision {
+    let traced = &found.transfer.traced;
+    let blocked = traced.blocked.iter().map(|b| f64::from(*b)).sum::<f64>() / traced.vertices().max(1) as f64;
+    let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
+        format!(
+            "; {} bounces bring {:.1} % of the light, the last {:.2} %",
+            b.bounces,
+            100.0 * b.share,
+            100.0 * b.last_share
+        )
+    });
+    Decision {
+        name: "transfer".into(),
+        choice: if found.transfer.bounced.is_some() { "gi" } else { "shade" }.into(),
+        evidence: format!(
+            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}",
+            100.0 * blocked,
+            traced.relative_error()
+        ),
+        next_level: format!("twice the rays: relative standard error about {:.3}", 0.6 * traced.relative_error()),
+    }
 }

@@ -14,7 +14,7 @@ use recordings::types::Mesh;
 /// axis-parallel ray runs along would be missed.
 const BOX_PADDING: f32 = 1e-3;
 /// Rays start this far off the surface (median edges): far above rounding, far below any feature.
-const ORIGIN_OFFSET: f32 = 1e-2;
+const ORIGIN_OFFSET: f32 = 4e-2;
 /// Coordinates beyond this many median edges are no part of a scene: their products leave the range of f32.
 const LARGEST_COORDINATE: f32 = 1e8;
 

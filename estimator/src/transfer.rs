@@ -1,1 +1,371 @@
-//! Radiance transfer (Eq. 8).
+//! Radiance transfer (Eq. 8): how much of each coefficient of the light arrives at each vertex, 1/π inside, the vertex's
+//! own albedo outside.
+
+use crate::random::{CosineDirections, hash, unit};
+use crate::scene::Scene;
+use crate::sh;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::types::Mesh;
+
+/// Bands of interreflected light: every bounce convolves with a cosine, what is above is lost in it.
+pub const INDIRECT_BANDS: usize = 5;
+const INDIRECT: usize = INDIRECT_BANDS * INDIRECT_BANDS;
+/// One row of interreflection: `[channel][k]`.
+const ROW: usize = 3 * INDIRECT;
+/// Vertices that one task traces.
+const BLOCK: usize = 256;
+/// Norm of the error over half the difference of the two half sets, measured against reference transfers.
+const HALVES_TO_WHOLE: f64 = 0.68;
+/// Bounces go on until they add less than this share of the light.
+const BOUNCE_TOLERANCE: f64 = 1e-3;
+/// Bounces that `auto` makes at most before the rest is taken as a geometric series.
+const MOST_BOUNCES: u32 = 16;
+
+/// What the rays of every vertex found. Traced once: light and albedo may change without another ray.
+#[derive(Debug)]
+pub struct Traced {
+    /// Bands of `direct`.
+    pub bands: usize,
+    /// Transfer without interreflection: `[vertex][bands²]`.
+    pub direct: Vec<f32>,
+    /// Cosine-weighted share of the hemisphere that is blocked: `[vertex]`.
+    pub blocked: Vec<f32>,
+    /// Estimated error of the first five bands of `direct`, as a norm over them: `[vertex]`.
+    pub error: Vec<f32>,
+    /// Rays per vertex.
+    pub rays: u32,
+    /// Hits: one corner of the triangle, drawn by its barycentric weight; those of vertex i are
+    /// `corners[offsets[i]..offsets[i + 1]]`.
+    offsets: Vec<u32>,
+    corners: Vec<u32>,
+}
+
+/// Interreflected light per vertex and channel for one set of albedos.
+#[derive(Debug)]
+pub struct Bounced {
+    /// `[vertex][channel][INDIRECT_BANDS²]`.
+    rows: Vec<f32>,
+    /// Bounces made.
+    pub bounces: u32,
+    /// Share of all light that arrives by bounces.
+    pub share: f64,
+    /// Share that the last bounce added.
+    pub last_share: f64,
+}
+
+/// Transfer of every vertex: what was traced and, for gi, what was bounced.
+#[derive(Debug)]
+pub struct Transfer {
+    /// Direct part.
+    pub traced: Traced,
+    /// Interreflection, if it is modelled.
+    pub bounced: Option<Bounced>,
+}
+
+/// Transfer of the cosine alone, in closed form.
+#[must_use]
+pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
+    let k = bands * bands;
+    let mut direct = vec![0.0f32; mesh.positions.len() * k];
+    direct.par_chunks_mut(k).zip(&mesh.normals).for_each(|(row, n)| cosine_lobe(*n, row));
+    Traced {
+        bands,
+        direct,
+        blocked: vec![0.0; mesh.positions.len()],
+        error: vec![0.0; mesh.positions.len()],
+        rays: 0,
+        offsets: vec![0; mesh.positions.len() + 1],
+        corners: Vec::new(),
+    }
+}
+
+/// Traces `rays` cosine-distributed rays from every vertex; `report` is told the share done.
+#[must_use]
+pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, report: &(dyn Fn(f64) + Sync)) -> Traced {
+    let k = bands * bands;
+    let count = mesh.positions.len();
+    let directions = CosineDirections::new(rays, seed);
+    let mut direct = vec![0.0f32; count * k];
+    let mut blocked = vec![0.0f32; count];
+    let mut error = vec![0.0f32; count];
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let hits: Vec<(Vec<u32>, Vec<u32>)> = direct
+        .par_chunks_mut(BLOCK * k)
+        .zip(blocked.par_chunks_mut(BLOCK))
+        .zip(error.par_chunks_mut(BLOCK))
+        .enumerate()
+        .map(|(block, ((direct, blocked), error))| {
+            let (mut ends, mut corners) = (Vec::with_capacity(blocked.len()), Vec::new());
+            for (j, row) in direct.chunks_mut(k).enumerate() {
+                let vertex = block * BLOCK + j;
+                (blocked[j], error[j]) = trace_vertex(mesh, scene, &directions, vertex, rays, row, &mut corners);
+                ends.push(corners.len() as u32);
+            }
+            let before = done.fetch_add(blocked.len(), std::sync::atomic::Ordering::Relaxed);
+            report((before + blocked.len()) as f64 / count as f64);
+            (ends, corners)
+        })
+        .collect();
+    let mut offsets = Vec::with_capacity(count + 1);
+    offsets.push(0);
+    let mut corners = Vec::with_capacity(hits.iter().map(|(_, c)| c.len()).sum());
+    for (ends, block) in hits {
+        let start = corners.len() as u32;
+        offsets.extend(ends.iter().map(|e| start + e));
+        corners.extend(block);
+    }
+    Traced { bands, direct, blocked, error, rays, offsets, corners }
+}
+
+/// Traces rays and forgets what they hit, for measuring how fast this machine is.
+pub fn probe(points: &Mesh, scene: &Scene, rays: u32, seed: u32) {
+    let directions = CosineDirections::new(rays, seed);
+    let hits: usize = (0..points.positions.len())
+        .into_par_iter()
+        .map(|i| {
+            let origin = scene.offset_origin(points.positions[i], points.normals[i]);
+            let mut hits = 0;
+            directions.about(i as u32, points.normals[i], 0..rays as usize, |_, d| {
+                hits += usize::from(scene.closest_hit(origin, d).is_some());
+            });
+            hits
+        })
+        .sum();
+    std::hint::black_box(hits);
+}
+
+/// Directions gathered until there are enough for the fast path.
+struct Lanes {
+    directions: [[f32; sh::LANES]; 3],
+    weight: [f32; sh::LANES],
+    filled: usize,
+}
+
+impl Lanes {
+    fn new() -> Self {
+        Self { directions: [[0.0; sh::LANES]; 3], weight: [0.0; sh::LANES], filled: 0 }
+    }
+
+    #[inline(always)]
+    fn push(&mut self, d: Vec3, sum: &mut [f32]) {
+        let i = self.filled;
+        (self.directions[0][i], self.directions[1][i], self.directions[2][i]) = (d.x, d.y, d.z);
+        self.weight[i] = 1.0;
+        self.filled += 1;
+        if self.filled == sh::LANES {
+            self.flush(sum);
+        }
+    }
+
+    fn flush(&mut self, sum: &mut [f32]) {
+        if self.filled > 0 {
+            self.weight[self.filled..].fill(0.0);
+            sh::add_lanes(&self.directions, &self.weight, sum);
+            self.filled = 0;
+        }
+    }
+}
+
+/// Fills the direct transfer of one vertex, appends its hits, and returns the blocked share and the estimated error.
+fn trace_vertex(
+    mesh: &Mesh,
+    scene: &Scene,
+    directions: &CosineDirections,
+    vertex: usize,
+    rays: u32,
+    row: &mut [f32],
+    corners: &mut Vec<u32>,
+) -> (f32, f32) {
+    let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
+    if rays == 0 || !position.is_finite() || !(normal.length_squared() - 1.0).abs().lt(&1e-2) {
+        return (0.0, 0.0);
+    }
+    let origin = scene.offset_origin(position, normal);
+    // Halves of the point set: their difference tells the error of the whole. Two sums each: what escapes, what is hit.
+    let mut sums = [[[0.0f32; sh::MAX_COEFFICIENTS]; 2]; 2];
+    let mut lanes = [[Lanes::new(), Lanes::new()], [Lanes::new(), Lanes::new()]];
+    let mut count = [0u32; 2];
+    let k = row.len();
+    directions.about(vertex as u32, normal, 0..rays as usize, |index, d| {
+        let half = usize::from(2 * index >= rays as usize);
+        let hit = scene.closest_hit(origin, d);
+        let side = usize::from(hit.is_some());
+        count[side] += 1;
+        lanes[half][side].push(d, &mut sums[half][side][..k]);
+        if let Some(hit) = hit {
+            let t = mesh.triangles[hit.triangle as usize];
+            let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
+            let facing = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+            // The back of a surface blocks but is not lit: what lights it is not what lights its front.
+            if facing.dot(d) < 0.0 {
+                let draw = unit(hash(vertex as u32, index as u32 ^ 0x0c04_e500));
+                corners.push(if draw < hit.u {
+                    t[1]
+                } else if draw < hit.u + hit.v {
+                    t[2]
+                } else {
+                    t[0]
+                });
+            }
+        }
+    });
+    for half in 0..2 {
+        for side in 0..2 {
+            lanes[half][side].flush(&mut sums[half][side][..k]);
+        }
+    }
+    // Eq. (8): t = 1/N Σ over escaping rays; where most escape, the closed form minus what is blocked is the better
+    // estimate of the same integral.
+    let subtract = count[1] <= count[0];
+    let side = usize::from(subtract);
+    let scale = 1.0 / rays as f32;
+    if subtract {
+        cosine_lobe(normal, row);
+    }
+    let mut difference = 0.0f64;
+    for i in 0..k {
+        let [a, b] = [sums[0][side][i], sums[1][side][i]];
+        row[i] = if subtract { row[i] - (a + b) * scale } else { (a + b) * scale };
+        if i < INDIRECT {
+            difference += f64::from((a - b) * scale).powi(2);
+        }
+    }
+    (count[1] as f32 * scale, (HALVES_TO_WHOLE * libm::sqrt(difference)) as f32)
+}
+
+/// Closed-form transfer of an unblocked vertex.
+fn cosine_lobe(normal: Vec3, row: &mut [f32]) {
+    sh::eval_f32(normal, row);
+    for (k, t) in row.iter_mut().enumerate() {
+        *t *= sh::cosine_factor(sh::band(k)) as f32;
+    }
+}
+
+/// Bounces light between the vertices: `t(b+1) = t(0) + 1/N Σ over hits of albedo(hit) · t(b)(hit)`, Eq. (8), a sparse
+/// product per bounce. `bounces` = 0 goes on until a bounce no longer matters; the rest of the series is taken as
+/// geometric.
+#[must_use]
+pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
+    let count = traced.blocked.len();
+    let k = traced.bands * traced.bands;
+    let direct = |i: usize| &traced.direct[i * k..i * k + k.min(INDIRECT)];
+    let scale = 1.0 / traced.rays.max(1) as f32;
+    let mut radiosity = vec![0.0f32; count * ROW];
+    let mut rows = vec![0.0f32; count * ROW];
+    let most = if bounces == 0 { MOST_BOUNCES } else { bounces };
+    let direct_norm =
+        libm::sqrt((0..count).map(|i| f64::from(direct(i).first().copied().unwrap_or(0.0)).powi(2)).sum());
+    let (mut made, mut share, mut last) = (0, 0.0, 0.0);
+    if traced.corners.is_empty() || direct_norm == 0.0 {
+        return Bounced { rows, bounces: 0, share, last_share: last };
+    }
+    while made < most {
+        // Radiosity of every vertex: its albedo times all that arrives so far.
+        radiosity.par_chunks_mut(ROW).zip(rows.par_chunks(ROW)).enumerate().for_each(|(i, (out, row))| {
+            let direct = direct(i);
+            for c in 0..3 {
+                let a = albedo[i][c];
+                for j in 0..direct.len() {
+                    out[c * INDIRECT + j] = a * (direct[j] + row[c * INDIRECT + j]);
+                }
+            }
+        });
+        let changes: Vec<[f64; 2]> = rows
+            .par_chunks_mut(ROW * BLOCK)
+            .enumerate()
+            .map(|(block, rows)| {
+                let mut change = [0.0; 2];
+                for (j, row) in rows.chunks_mut(ROW).enumerate() {
+                    let i = block * BLOCK + j;
+                    let mut sum = [0.0f32; ROW];
+                    for &corner in &traced.corners[traced.offsets[i] as usize..traced.offsets[i + 1] as usize] {
+                        let from = &radiosity[corner as usize * ROW..][..ROW];
+                        sum.iter_mut().zip(from).for_each(|(s, x)| *s += x);
+                    }
+                    for (c, old) in row.iter().step_by(INDIRECT).enumerate() {
+                        let new = f64::from(sum[c * INDIRECT] * scale);
+                        change[0] += (new - f64::from(*old)).powi(2) / 3.0;
+                        change[1] += new.powi(2) / 3.0;
+                    }
+                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = s * scale);
+                }
+                change
+            })
+            .collect();
+        let [change, size] = changes.iter().fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]).map(libm::sqrt);
+        made += 1;
+        last = change / direct_norm;
+        share = size / direct_norm;
+        if bounces == 0 && last < BOUNCE_TOLERANCE {
+            break;
+        }
+    }
+    Bounced { rows, bounces: made, share, last_share: last }
+}
+
+impl Traced {
+    /// Vertices.
+    #[must_use]
+    pub fn vertices(&self) -> usize {
+        self.blocked.len()
+    }
+
+    /// Relative standard error of the first five bands over all vertices: ‖error‖ / ‖transfer‖.
+    #[must_use]
+    pub fn relative_error(&self) -> f64 {
+        let k = self.bands * self.bands;
+        let error: f64 = self.error.iter().map(|e| f64::from(*e).powi(2)).sum();
+        let size: f64 = self
+            .direct
+            .chunks(k)
+            .map(|row| row.iter().take(INDIRECT).map(|t| f64::from(*t).powi(2)).sum::<f64>())
+            .sum();
+        if size > 0.0 { libm::sqrt(error / size) } else { 0.0 }
+    }
+}
+
+impl Transfer {
+    /// Coefficients a row has.
+    #[must_use]
+    pub fn coefficients(&self) -> usize {
+        self.traced.bands * self.traced.bands
+    }
+
+    /// Transfer of one vertex and channel in f64.
+    pub fn row(&self, vertex: usize, channel: usize, out: &mut [f64]) {
+        let k = self.coefficients();
+        let direct = &self.traced.direct[vertex * k..(vertex + 1) * k];
+        out.iter_mut().zip(direct).for_each(|(o, t)| *o = f64::from(*t));
+        if let Some(bounced) = &self.bounced {
+            let start = vertex * ROW + channel * INDIRECT;
+            let indirect = &bounced.rows[start..start + INDIRECT];
+            out.iter_mut().zip(indirect).for_each(|(o, t)| *o += f64::from(*t));
+        }
+    }
+
+    /// Irradiance over π of every vertex under `light`: E_i = Σ_k t_ik i_k, per channel.
+    #[must_use]
+    pub fn irradiance(&self, light: &[[f64; 3]]) -> Vec<Vec3> {
+        let k = self.coefficients();
+        (0..self.traced.vertices())
+            .into_par_iter()
+            .map(|i| {
+                let direct = &self.traced.direct[i * k..(i + 1) * k];
+                let mut sum = [0.0f64; 3];
+                for (t, l) in direct.iter().zip(light) {
+                    for c in 0..3 {
+                        sum[c] += f64::from(*t) * l[c];
+                    }
+                }
+                if let Some(bounced) = &self.bounced {
+                    for (c, sum) in sum.iter_mut().enumerate() {
+                        let row = &bounced.rows[i * ROW + c * INDIRECT..][..INDIRECT];
+                        *sum += row.iter().zip(light).map(|(t, l)| f64::from(*t) * l[c]).sum::<f64>();
+                    }
+                }
+                Vec3::new(sum[0] as f32, sum[1] as f32, sum[2] as f32)
+            })
+            .collect()
+    }
+}

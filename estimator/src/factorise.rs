@@ -1,0 +1,125 @@
+//! Lit colours into light and albedo: the solver in turn with the transfer that the albedo makes (colour bleeding).
+
+use crate::albedo::{self, Detail, Known};
+use crate::inverse::{self, Observed, Solution};
+use crate::transfer::{self, Traced, Transfer};
+use firmware_config::EstimatorConfig;
+use glam::Vec3;
+
+/// Albedo before anything is known of it (a0 of Eq. 10).
+const MID_GREY: f32 = 0.5;
+/// The free factor per channel: so that this share of the seen vertices has a segment albedo …
+const SCALE_PERCENTILE: f64 = 0.9;
+/// … of at most this.
+const SCALE_ALBEDO: f64 = 0.7;
+/// Rounds of solving and bouncing anew with the albedo found.
+const BLEEDING_ROUNDS: usize = 3;
+
+/// The rule that [`factorise`] fixes the free factor by, in words.
+pub const SCALE_RULE: &str =
+    "per channel, the 90th percentile over seen vertices of the segment albedo is 0.7; light carries the rest";
+
+/// The answer of the factorisation.
+#[derive(Debug)]
+pub struct Factorised {
+    /// Transfer with the albedo found.
+    pub transfer: Transfer,
+    /// Light and segment albedos, scaled by the rule.
+    pub solution: Solution,
+    /// Albedo per vertex.
+    pub detail: Detail,
+    /// Irradiance over π per vertex.
+    pub irradiance: Vec<Vec3>,
+}
+
+/// Lit colours and segments to be factorised.
+#[derive(Debug, Clone, Copy)]
+pub struct Colors<'a> {
+    /// Lit colour f.
+    pub lit_color: &'a [Vec3],
+    /// Weight behind it; 0 = never seen.
+    pub lit_weight: &'a [f32],
+    /// Segment.
+    pub segment: &'a [u32],
+    /// Number of segments.
+    pub segments: usize,
+}
+
+/// Factorises lit colours. `gi` models interreflection.
+#[must_use]
+pub fn factorise(traced: Traced, colors: &Colors, gi: bool, bands: usize, config: &EstimatorConfig) -> Factorised {
+    let count = colors.lit_color.len();
+    let transfer_error = relative_error(&traced);
+    let mut transfer = Transfer { traced, bounced: None };
+    let mut albedo = vec![Vec3::splat(MID_GREY); count];
+    let rounds = if gi { BLEEDING_ROUNDS } else { 1 };
+    let mut round = 0;
+    loop {
+        if gi {
+            transfer.bounced = Some(transfer::bounce(&transfer.traced, &albedo, config.bounces)); // Eq. (8)
+        }
+        let observed = Observed {
+            transfer: &transfer,
+            lit_color: colors.lit_color,
+            lit_weight: colors.lit_weight,
+            segment: colors.segment,
+            segments: colors.segments,
+        };
+        let mut solution = inverse::solve(&observed, bands); // Eqs. (9)–(12)
+        fix_scale(&mut solution, colors);
+        let irradiance = transfer.irradiance(&solution.light);
+        let known = Known {
+            lit_color: colors.lit_color,
+            lit_weight: colors.lit_weight,
+            irradiance: &irradiance,
+            transfer_error: &transfer_error,
+            segment: colors.segment,
+        };
+        let detail = albedo::detail(&known, &solution.albedo);
+        round += 1;
+        if round >= rounds {
+            return Factorised { transfer, solution, detail, irradiance };
+        }
+        albedo = detail.albedo;
+    }
+}
+
+/// Applies [`SCALE_RULE`].
+fn fix_scale(solution: &mut Solution, colors: &Colors) {
+    let mut seen = vec![0.0f64; colors.segments];
+    for (segment, weight) in colors.segment.iter().zip(colors.lit_weight) {
+        if *weight > 0.0 {
+            seen[*segment as usize] += 1.0;
+        }
+    }
+    for c in 0..3 {
+        let mut order: Vec<usize> = (0..colors.segments).collect();
+        order.sort_by(|a, b| solution.albedo[*a][c].total_cmp(&solution.albedo[*b][c]));
+        let total: f64 = seen.iter().sum();
+        let mut sum = 0.0;
+        let reference = order.iter().find(|s| {
+            sum += seen[**s];
+            sum >= SCALE_PERCENTILE * total
+        });
+        let factor = reference.map_or(1.0, |s| SCALE_ALBEDO / solution.albedo[*s][c]);
+        if factor.is_finite() && factor > 0.0 {
+            solution.albedo.iter_mut().for_each(|a| a[c] *= factor);
+            let light = solution.light.iter_mut().chain(&mut solution.standard_deviation).chain(&mut solution.radiance);
+            light.for_each(|l| l[c] /= factor);
+        }
+    }
+}
+
+/// Error of the transfer relative to its norm over the first bands.
+fn relative_error(traced: &Traced) -> Vec<f32> {
+    let k = traced.bands * traced.bands;
+    traced
+        .direct
+        .chunks(k)
+        .zip(&traced.error)
+        .map(|(row, error)| {
+            let size = row.iter().take(25).map(|t| t * t).sum::<f32>().sqrt();
+            if size > 0.0 { (error / size).min(10.0) } else { 10.0 }
+        })
+        .collect()
+}
