@@ -10,6 +10,7 @@ pub mod error;
 mod lists;
 mod pack;
 pub mod photos;
+pub mod ply;
 pub mod recording;
 pub mod result;
 pub mod scan;
