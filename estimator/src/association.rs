@@ -10,7 +10,7 @@ use crate::raster::{MISS, Raster, camera_positions, triangle_normals};
 use crate::robust::weighted_median;
 use crate::scene::Scene;
 use firmware_config::{EstimatorConfig, Switch};
-use glam::Vec3;
+use glam::{Quat, Vec3};
 use rayon::prelude::*;
 use recordings::result::Decision;
 use recordings::types::{Keyframe, Mesh, Pose, Response};
@@ -86,8 +86,6 @@ struct Rules {
     edge_cosine: f32,
     /// How far around a vertex's pixel Eq. (4) looks.
     edge_pixels: i32,
-    /// Observations under these rules stand back behind all others.
-    last_resort: bool,
 }
 
 impl Rules {
@@ -100,7 +98,6 @@ impl Rules {
             edge_distance: (config.edge_distance * (1.0 + relaxed)) as f32,
             edge_cosine: libm::cos(angle) as f32,
             edge_pixels: if relaxed < 0.5 { 3 } else { 2 },
-            last_resort: false,
         }
     }
 
@@ -111,7 +108,6 @@ impl Rules {
             edge_distance: 2.0 * self.edge_distance,
             edge_cosine: -1.0,
             edge_pixels: 1,
-            last_resort: true,
         }
     }
 }
@@ -153,7 +149,7 @@ pub fn associate(
             break;
         }
         let relaxed = f64::from(round) / f64::from(rounds);
-        let field = LightField::gather(&setting, &pictures, &views, &Rules::new(config, relaxed));
+        let field = LightField::gather(&setting, &pictures, &views, &Rules::new(config, relaxed), None);
         let (gains, _) = exposures(&field); // Eq. (5)
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
         let lit = field.lit_colors(&views); // Eq. (2)
@@ -161,7 +157,8 @@ pub fn associate(
             break;
         }
     }
-    let field = LightField::gather_all(&setting, &pictures, &views, &Rules::new(config, 1.0));
+    let last = Rules::new(config, 1.0);
+    let field = LightField::gather(&setting, &pictures, &views, &last, Some(last.last_resort()));
     let (gains, decision) = exposures(&field);
     views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
     let lit = field.lit_colors(&views);
@@ -200,41 +197,39 @@ pub struct LitColors {
 }
 
 impl LightField {
-    fn gather(setting: &Setting, pictures: &[Option<Picture>], views: &[View], rules: &Rules) -> Self {
-        let per_view: Vec<Vec<Observation>> = pictures
+    /// Observations under `rules`; a vertex that has none but poor ones keeps those.
+    fn gather(
+        setting: &Setting,
+        pictures: &[Option<Picture>],
+        views: &[View],
+        rules: &Rules,
+        last_resort: Option<Rules>,
+    ) -> Self {
+        let per_view: Vec<Sightings> = pictures
             .par_iter()
             .zip(views)
             .enumerate()
             .map(|(j, (picture, view))| match picture {
-                Some(picture) => observe(setting, picture, &view.world_from_camera, j as u16, rules),
-                None => Vec::new(),
+                Some(picture) => observe(setting, picture, &view.world_from_camera, j as u16, rules, last_resort),
+                None => Sightings::default(),
             })
             .collect();
-        Self::sorted(&per_view, setting.mesh.positions.len())
-    }
-
-    /// [`LightField::gather`] with the last resort for vertices that nothing else sees.
-    fn gather_all(setting: &Setting, pictures: &[Option<Picture>], views: &[View], rules: &Rules) -> Self {
-        let strict = Self::gather(setting, pictures, views, rules);
-        let loose = Self::gather(setting, pictures, views, &rules.last_resort());
-        let bare = |o: &&Observation| strict.offsets[o.vertex as usize] == strict.offsets[o.vertex as usize + 1];
-        let extra: Vec<Observation> = loose.observations.iter().filter(bare).copied().collect();
-        Self::sorted(&[strict.observations, extra], setting.mesh.positions.len())
-    }
-
-    /// Brings observations, ascending by keyframe for every vertex, into rows.
-    fn sorted(per_view: &[Vec<Observation>], n: usize) -> Self {
+        let n = setting.mesh.positions.len();
+        let mut well_seen = vec![false; n];
+        per_view.iter().flat_map(|v| &v.good).for_each(|o| well_seen[o.vertex as usize] = true);
+        let kept = || {
+            let poor = per_view.iter().flat_map(|v| &v.poor).filter(|o| !well_seen[o.vertex as usize]);
+            per_view.iter().flat_map(|v| &v.good).chain(poor)
+        };
         let mut offsets = vec![0_u32; n + 1];
-        for o in per_view.iter().flatten() {
-            offsets[o.vertex as usize + 1] += 1;
-        }
+        kept().for_each(|o| offsets[o.vertex as usize + 1] += 1);
         for i in 0..n {
             offsets[i + 1] += offsets[i];
         }
         let mut cursor = offsets.clone();
         let blank = Observation { vertex: 0, keyframe: 0, color: [0.0; 3], weight: 0.0 };
         let mut observations = vec![blank; offsets[n] as usize];
-        for o in per_view.iter().flatten() {
+        for o in kept() {
             let at = &mut cursor[o.vertex as usize];
             observations[*at as usize] = *o;
             *at += 1;
@@ -341,49 +336,64 @@ fn robust_color(row: &[Observation], factors: &[[f32; 3]], scale: f32, used: &mu
     (color, total)
 }
 
-/// All observations of one keyframe, ascending by vertex (Eqs. 3 and 4).
-fn observe(setting: &Setting, picture: &Picture, pose: &Pose, keyframe: u16, rules: &Rules) -> Vec<Observation> {
+/// What one keyframe sees, ascending by vertex.
+#[derive(Default)]
+struct Sightings {
+    good: Vec<Observation>,
+    /// Clipped, or under the last resort's rules: for vertices that have nothing better.
+    poor: Vec<Observation>,
+}
+
+/// Weight of a poor observation against a good one.
+const POOR: f32 = 0.02;
+
+/// All observations of one keyframe (Eqs. 3 and 4).
+fn observe(
+    setting: &Setting,
+    picture: &Picture,
+    pose: &Pose,
+    keyframe: u16,
+    rules: &Rules,
+    last_resort: Option<Rules>,
+) -> Sightings {
     let mesh = setting.mesh;
     let k = &picture.camera;
     let points = camera_positions(mesh, pose);
     let raster = Raster::new(&points, &mesh.triangles, k, setting.near);
     let camera_from_world = pose.rotation.conjugate().as_quat();
     let focal = 0.5 * (k.fx.abs() + k.fy.abs());
-    let mut out = Vec::new();
+    let mut out = Sightings::default();
     for (i, p) in points.iter().enumerate() {
         if !(p.z > setting.near && p.is_finite()) {
             continue;
         }
         let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-        let normal = camera_from_world * mesh.normals[i];
-        let cosine = -normal.dot(p.as_vec3().normalize_or_zero());
-        // Eq. (3)
-        if cosine.is_nan() || cosine <= rules.min_cosine {
+        if !(u > 0.0 && v > 0.0 && u < f64::from(k.width) && v < f64::from(k.height)) {
             continue;
         }
+        let normal = camera_from_world * mesh.normals[i];
+        let cosine = -normal.dot(p.as_vec3().normalize_or_zero());
         let footprint = (p.z / focal) as f32;
+        let site = Site { u, v, point: p.as_vec3(), normal, footprint, cosine, spacing: setting.spacing[i] };
+        let is_clear = |rules: &Rules| site.is_clear(setting, &raster, &camera_from_world, rules);
+        let well = is_clear(rules);
+        if !well && !last_resort.is_some_and(|r| is_clear(&r)) {
+            continue;
+        }
         // The window covers the vertex's own surface, foreshortened.
         let spacing_px = setting.spacing[i] / footprint;
         let radius = (0.75 * spacing_px * cosine.max(0.3)).clamp(1.0, 4.0);
-        let site = Site { u, v, point: p.as_vec3(), normal, footprint, cosine, spacing: setting.spacing[i] };
-        if !site.is_clear(setting, &raster, &camera_from_world, rules) {
-            continue;
-        }
         let Some(sample) = picture.sample(&setting.table, u, v, f64::from(radius)) else {
             continue;
         };
         // Few pixels on a vertex mix it with its neighbours.
         let resolution = (spacing_px * cosine).min(1.0);
-        let angle = (cosine - 0.5 * rules.min_cosine) / (1.0 - 0.5 * rules.min_cosine);
-        let rank = if rules.last_resort { 0.05 } else { 1.0 };
-        let clipped = if sample.brightest >= setting.clipped { 1e-4 } else { 1.0 };
-        let pixels = (sample.pixels / (sample.pixels + 4.0)).min(1.0);
-        out.push(Observation {
-            vertex: i as u32,
-            keyframe,
-            color: sample.color,
-            weight: angle * resolution * pixels * clipped * rank,
-        });
+        let angle = (cosine - 0.5 * rules.min_cosine).max(0.1 * cosine) / (1.0 - 0.5 * rules.min_cosine);
+        let pixels = sample.pixels / (sample.pixels + 4.0);
+        let good = well && sample.brightest < setting.clipped;
+        let weight = angle * resolution * pixels * if good { 1.0 } else { POOR };
+        let observation = Observation { vertex: i as u32, keyframe, color: sample.color, weight };
+        if good { out.good.push(observation) } else { out.poor.push(observation) }
     }
     out
 }
@@ -400,8 +410,12 @@ struct Site {
 }
 
 impl Site {
-    /// Visible, and no geometric edge within the rules' reach. Eq. (4)
-    fn is_clear(&self, setting: &Setting, raster: &Raster, camera_from_world: &glam::Quat, rules: &Rules) -> bool {
+    /// Visible, not too steep, and no geometric edge within the rules' reach. Eqs. (3) and (4)
+    fn is_clear(&self, setting: &Setting, raster: &Raster, camera_from_world: &Quat, rules: &Rules) -> bool {
+        // Written so that NaN fails too.
+        if !(self.cosine > rules.min_cosine) {
+            return false;
+        }
         let (w, h) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
         let (x, y) = ((self.u + 0.5).floor() as i64, (self.v + 0.5).floor() as i64);
         let reach = i64::from(rules.edge_pixels);

@@ -40,30 +40,38 @@ impl Raster {
     pub fn new(points: &[DVec3], triangles: &[[u32; 3]], camera: &Intrinsics, near: f64) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
         let mut raster = Self { camera: *camera, triangle: vec![MISS; pixels], depth: vec![f32::INFINITY; pixels] };
+        let project = |p: DVec3| {
+            let inverse = 1.0 / p.z;
+            (camera.fx * p.x * inverse + camera.cx, camera.fy * p.y * inverse + camera.cy, inverse)
+        };
+        let projected: Vec<(f64, f64, f64)> = points.iter().map(|p| project(*p)).collect();
         for (index, corners) in triangles.iter().enumerate() {
             let [a, b, c] = corners.map(|i| points[i as usize]);
             if a.z > near && b.z > near && c.z > near {
-                raster.fill(index as u32, [a, b, c]);
+                raster.fill(index as u32, corners.map(|i| projected[i as usize]));
             } else if a.z > near || b.z > near || c.z > near {
                 let polygon = clip_near([a, b, c], near);
                 for i in 2..polygon.len() {
-                    raster.fill(index as u32, [polygon[0], polygon[i - 1], polygon[i]]);
+                    raster.fill(index as u32, [polygon[0], polygon[i - 1], polygon[i]].map(project));
                 }
             }
         }
         raster
     }
 
-    fn fill(&mut self, index: u32, corners: [DVec3; 3]) {
+    /// Corners are (u, v, 1/depth).
+    fn fill(&mut self, index: u32, [a, b, c]: [(f64, f64, f64); 3]) {
         let k = &self.camera;
-        let [a, b, c] = corners.map(|p| (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy, 1.0 / p.z));
+        let (left, right) = span(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0), k.width);
+        let (top, bottom) = span(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1), k.height);
+        if left >= right || top >= bottom {
+            return;
+        }
         let area = (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
         // Written so that NaN fails too.
         if !(area.abs() > 1e-12 && area.is_finite()) {
             return;
         }
-        let (left, right) = span(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0), k.width);
-        let (top, bottom) = span(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1), k.height);
         let width = k.width as usize;
         let scale = 1.0 / area;
         for y in top..bottom {
@@ -107,10 +115,11 @@ impl Raster {
 
 /// Pixels whose centres lie in `low..=high`, cut to the picture.
 fn span(low: f64, high: f64, size: u32) -> (usize, usize) {
-    // Casts saturate, so values far outside the picture are harmless.
-    let first = (low - 1e-6).ceil().max(0.0) as usize;
-    let end = ((high + 1e-6).floor() + 1.0).clamp(0.0, f64::from(size)) as usize;
-    (first, end)
+    // Casts truncate and saturate, so values far outside the picture are harmless; for positive values, ceil(x) is
+    // trunc(x + 1 − tiny) and floor(x) is trunc(x).
+    let first = (low + (1.0 - 1e-6)).max(0.0) as usize;
+    let end = (high + (1.0 + 1e-6)).max(0.0) as usize;
+    (first, end.min(size as usize))
 }
 
 fn clip_near(corners: [DVec3; 3], near: f64) -> Vec<DVec3> {

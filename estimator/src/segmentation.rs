@@ -35,7 +35,7 @@ pub fn segment(
     let seen: Vec<bool> = lit_weight.iter().zip(lit_color).map(|(&w, c)| w > 0.0 && c.is_finite()).collect();
     let features = median_filtered(&graph, &features(lit_color, &seen), &seen);
     let thickness = if config.segment_thickness > 0.0 {
-        thickness::shape_diameter(mesh, scene, config.seed)
+        thickness::shape_diameter(mesh, &graph, scene, config.seed)
     } else {
         vec![None; mesh.positions.len()]
     };

@@ -1,5 +1,6 @@
 //! Shape diameter: how thick the object is below a vertex.
 
+use crate::graph::Graph;
 use crate::scene::Scene;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -12,9 +13,30 @@ const CONE_COSINE: f32 = 0.5;
 
 /// Shape diameter of every vertex in the mesh's units; `None` where the scan has no back (fewer than a third of the
 /// rays meet the surface from inside).
-#[must_use]
-pub fn shape_diameter(mesh: &Mesh, scene: &Scene, seed: u32) -> Vec<Option<f32>> {
-    (0..mesh.positions.len()).into_par_iter().map(|i| diameter(mesh, scene, i, seed)).collect()
+///
+/// Thickness changes slowly: rays are traced from a set of vertices of which no two are neighbours, the others take
+/// the mean of theirs.
+pub(crate) fn shape_diameter(mesh: &Mesh, graph: &Graph, scene: &Scene, seed: u32) -> Vec<Option<f32>> {
+    let mut covered = vec![false; graph.len()];
+    let mut chosen = vec![false; graph.len()];
+    for i in 0..graph.len() {
+        if !covered[i] {
+            chosen[i] = true;
+            graph.neighbours(i).iter().for_each(|&j| covered[j as usize] = true);
+        }
+    }
+    let traced: Vec<Option<f32>> =
+        (0..graph.len()).into_par_iter().map(|i| chosen[i].then(|| diameter(mesh, scene, i, seed)).flatten()).collect();
+    (0..graph.len())
+        .map(|i| {
+            if chosen[i] {
+                return traced[i];
+            }
+            let known = graph.neighbours(i).iter().filter_map(|&j| traced[j as usize]);
+            let (sum, count) = known.fold((0.0, 0.0), |(s, n), t| (s + t, n + 1.0));
+            (count > 0.0).then(|| sum / count)
+        })
+        .collect()
 }
 
 fn diameter(mesh: &Mesh, scene: &Scene, vertex: usize, seed: u32) -> Option<f32> {
