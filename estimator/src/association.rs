@@ -412,8 +412,7 @@ struct Site {
 impl Site {
     /// Visible, not too steep, and no geometric edge within the rules' reach. Eqs. (3) and (4)
     fn is_clear(&self, setting: &Setting, raster: &Raster, camera_from_world: &Quat, rules: &Rules) -> bool {
-        // Written so that NaN fails too.
-        if !(self.cosine > rules.min_cosine) {
+        if self.cosine.is_nan() || self.cosine <= rules.min_cosine {
             return false;
         }
         let (w, h) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
