@@ -6,7 +6,7 @@
 
 use crate::error::{Error, Result};
 use std::fs::File;
-use std::io::{BufRead, BufReader, BufWriter, Read, Write};
+use std::io::{BufRead, BufReader, BufWriter, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
 /// Name of a chunk, or of a kind of file.
@@ -168,17 +168,20 @@ impl ChunkReader {
     /// # Errors
     /// The file cannot be read.
     pub fn seek(&mut self, offset: u64) -> Result<()> {
-        // A relative seek keeps what is buffered.
-        let by = offset as i64 - self.at as i64;
-        self.file.seek_relative(by).map_err(|e| Error::io(&self.path, e))?;
+        // A relative seek keeps what is buffered. After an error the file stands elsewhere than at `self.at`.
+        let seek = |file: &mut BufReader<File>| {
+            let here = file.stream_position()?;
+            file.seek_relative(offset as i64 - here as i64)
+        };
+        seek(&mut self.file).map_err(|e| Error::io(&self.path, e))?;
         self.at = offset;
         Ok(())
     }
 
-    /// Where the first chunk begins.
+    /// Length of the file in bytes.
     #[must_use]
-    pub fn start(&self) -> u64 {
-        HEADER_BYTES
+    pub fn file_bytes(&self) -> u64 {
+        self.file_bytes
     }
 
     /// Reads the next known chunk into `payload`; `None` at the end of a whole file.
@@ -322,6 +325,18 @@ mod tests {
         }
     }
 
+    /// The bytes of a file with `chunks`, and a path for a damaged copy (syncing a file for every case takes long).
+    fn damageable(chunks: &[(Tag, Vec<u8>)]) -> (tempfile::TempDir, PathBuf, Vec<u8>) {
+        static WHOLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+        let whole = WHOLE.get_or_init(|| {
+            let (_dir, path) = written(chunks);
+            std::fs::read(path).unwrap()
+        });
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("damaged");
+        (dir, path, whole.clone())
+    }
+
     fn some_chunks() -> Vec<(Tag, Vec<u8>)> {
         vec![(*b"AAAA", (0..100).collect()), (*b"BBBB", vec![]), (*b"AAAA", vec![7; 999]), (*b"BBBB", vec![1, 2])]
     }
@@ -405,8 +420,7 @@ mod tests {
         #[test]
         fn a_flipped_bit_is_noticed(at in 0usize..1200, bit in 0u8..8) {
             let chunks = some_chunks();
-            let (_dir, path) = written(&chunks);
-            let mut bytes = std::fs::read(&path).unwrap();
+            let (_dir, path, mut bytes) = damageable(&chunks);
             let at = at % bytes.len();
             bytes[at] ^= 1 << bit;
             std::fs::write(&path, &bytes).unwrap();
@@ -418,8 +432,8 @@ mod tests {
 
         #[test]
         fn random_tails_are_refused(tail in proptest::collection::vec(any::<u8>(), 0..300), known in any::<bool>()) {
-            let (_dir, path) = written(&[]);
-            let mut bytes = std::fs::read(&path).unwrap()[..16].to_vec();
+            let (_dir, path, mut bytes) = damageable(&some_chunks());
+            bytes.truncate(16);
             if known { bytes.extend(b"AAAA"); }
             bytes.extend(&tail);
             std::fs::write(&path, &bytes).unwrap();

@@ -14,6 +14,7 @@ pub mod ply;
 pub mod recording;
 pub mod result;
 pub mod scan;
+pub mod source;
 pub mod tum;
 pub mod types;
 mod v1;
@@ -23,5 +24,7 @@ pub use chunk::crc32_of_file;
 pub use error::{Error, Result};
 pub use lists::{format_seconds, parse_seconds};
 
+#[cfg(test)]
+mod samples;
 #[cfg(test)]
 mod testing;

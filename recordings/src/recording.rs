@@ -62,6 +62,94 @@ impl Event {
     }
 }
 
+/// Counters of one kind of frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct StreamSummary {
+    /// Frames.
+    pub frames: u64,
+    /// Frames with missing packets.
+    pub incomplete: u64,
+    /// Packets missing, in all.
+    pub missing_packets: u64,
+}
+
+impl StreamSummary {
+    fn add(&mut self, missing_packets: u32) {
+        self.frames += 1;
+        self.incomplete += u64::from(missing_packets > 0);
+        self.missing_packets += u64::from(missing_packets);
+    }
+}
+
+/// What a recording amounts to.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordingSummary {
+    /// What it holds.
+    pub kind: RecordingKind,
+    /// From the earliest to the latest time stamp, in seconds.
+    pub duration_s: f64,
+    /// Depth frames; none in a recording of packets.
+    pub depth: StreamSummary,
+    /// Colour frames; none in a recording of packets.
+    pub color: StreamSummary,
+    /// Accelerometer readings.
+    pub accelerometer: u64,
+    /// USB packets.
+    pub packets: u64,
+}
+
+impl RecordingSummary {
+    /// Reads a recording through, checking every chunk but decoding no picture.
+    ///
+    /// # Errors
+    /// Unreadable, no recording, damaged or truncated.
+    pub fn read(path: &Path) -> Result<Self> {
+        let mut reader = RecordingReader::open(path)?;
+        let (depth, color) = (StreamSummary::default(), StreamSummary::default());
+        let mut summary = Self { kind: reader.kind, duration_s: 0.0, depth, color, accelerometer: 0, packets: 0 };
+        let (mut first, mut last) = (TimestampNs::MAX, TimestampNs::MIN);
+        loop {
+            let begin = reader.file.offset();
+            let Some(tag) = reader.file.next(&mut reader.payload)? else {
+                break;
+            };
+            let stamps = summary.add(tag, &mut reader).map_err(|problem| Error::Damaged {
+                path: path.to_path_buf(),
+                offset: begin,
+                problem,
+            })?;
+            for stamp in stamps {
+                (first, last) = (first.min(stamp), last.max(stamp));
+            }
+        }
+        if first < last {
+            summary.duration_s = (last as f64 - first as f64) * 1e-9;
+        }
+        Ok(summary)
+    }
+
+    /// Counts the chunk in the reader's payload; its earliest and latest time stamp.
+    fn add(&mut self, tag: Tag, reader: &mut RecordingReader) -> std::result::Result<[TimestampNs; 2], String> {
+        if tag == DEPTH {
+            let (head, _) = from_bytes::<DepthV1>(&reader.payload)?;
+            self.depth.add(head.missing_packets);
+            return Ok([head.timestamp_ns; 2]);
+        }
+        if let Some(event) = reader.parse(tag)? {
+            match &event {
+                Event::Color(color) => self.color.add(color.missing_packets),
+                _ => self.accelerometer += 1,
+            }
+            return Ok([event.timestamp_ns(); 2]);
+        }
+        self.packets += reader.packets.len() as u64;
+        let stamps = || reader.packets.iter().map(|p| p.timestamp_ns);
+        let span = [stamps().min().unwrap_or(TimestampNs::MAX), stamps().max().unwrap_or(TimestampNs::MIN)];
+        reader.packets.clear();
+        Ok(span)
+    }
+}
+
 /// Writes a recording; nothing is visible under its name before [`RecordingWriter::finish`].
 pub struct RecordingWriter {
     file: ChunkWriter,
@@ -259,9 +347,24 @@ impl RecordingReader {
     /// # Errors
     /// The file cannot be read.
     pub fn rewind(&mut self) -> Result<()> {
+        self.seek(self.first)
+    }
+
+    /// Goes to a place that [`RecordingReader::position`] gave.
+    pub(crate) fn seek(&mut self, offset: u64) -> Result<()> {
         self.packets.clear();
         self.done = false;
-        self.file.seek(self.first)
+        self.file.seek(offset)
+    }
+
+    /// Where the next chunk begins.
+    pub(crate) fn position(&self) -> u64 {
+        self.file.offset()
+    }
+
+    /// Length of the file.
+    pub(crate) fn file_bytes(&self) -> u64 {
+        self.file.file_bytes()
     }
 
     /// The event of the chunk in `payload`; packets are queued instead.
@@ -306,4 +409,149 @@ fn parse_packet(bytes: &[u8]) -> Option<(UsbPacket, &[u8])> {
     let (length, rest) = rest.split_first_chunk::<2>()?;
     let (data, rest) = rest.split_at_checked(usize::from(u16::from_le_bytes(*length)))?;
     Some((UsbPacket { timestamp_ns: i64::from_le_bytes(*stamp), endpoint, data: data.to_vec() }, rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{events, packets, sensor};
+    use proptest::prelude::*;
+    use std::path::PathBuf;
+
+    fn written(kind: RecordingKind, events: &[Event]) -> (tempfile::TempDir, PathBuf) {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.lrec");
+        let mut writer = RecordingWriter::create(&path, kind, &sensor()).unwrap();
+        events.iter().for_each(|e| writer.write(e).unwrap());
+        writer.finish().unwrap();
+        (dir, path)
+    }
+
+    /// Every event up to the end or the first error.
+    fn read(path: &Path) -> (Vec<Event>, Result<()>) {
+        let mut events = Vec::new();
+        let mut reader = match RecordingReader::open(path) {
+            Ok(reader) => reader,
+            Err(e) => return (events, Err(e)),
+        };
+        loop {
+            match reader.next_event() {
+                Ok(Some(event)) => events.push(event),
+                Ok(None) => return (events, Ok(())),
+                Err(e) => {
+                    assert_eq!(reader.next_event().unwrap(), None, "an event after an error");
+                    return (events, Err(e));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn frames_come_back() {
+        let (_dir, path) = written(RecordingKind::Frames, &events(4));
+        let reader = RecordingReader::open(&path).unwrap();
+        assert_eq!((reader.kind(), reader.sensor()), (RecordingKind::Frames, &sensor()));
+        let (read_back, outcome) = read(&path);
+        outcome.unwrap();
+        assert_eq!(read_back, events(4));
+    }
+
+    #[test]
+    fn packets_come_back_in_order() {
+        let packets = packets(500);
+        let (_dir, path) = written(RecordingKind::Packets, &packets);
+        assert_eq!(read(&path).0, packets);
+        let mut reader = RecordingReader::open(&path).unwrap();
+        (0..100).for_each(|_| drop(reader.next_event().unwrap()));
+        reader.rewind().unwrap();
+        assert_eq!(reader.next_event().unwrap().as_ref(), packets.first());
+        let summary = RecordingSummary::read(&path).unwrap();
+        assert_eq!((summary.kind, summary.packets, summary.accelerometer), (RecordingKind::Packets, 499, 1));
+        let bytes: usize = 499 * 700;
+        assert!(std::fs::metadata(&path).unwrap().len() < (bytes + bytes / 10) as u64);
+    }
+
+    #[test]
+    fn a_summary_counts_what_is_there() {
+        let (_dir, path) = written(RecordingKind::Frames, &events(4));
+        let summary = RecordingSummary::read(&path).unwrap();
+        assert_eq!(summary.depth, StreamSummary { frames: 4, incomplete: 2, missing_packets: 3 });
+        assert_eq!(summary.color, StreamSummary { frames: 4, incomplete: 1, missing_packets: 7 });
+        assert_eq!((summary.accelerometer, summary.packets), (4, 0));
+        assert!((summary.duration_s - 0.110).abs() < 1e-9, "{}", summary.duration_s);
+    }
+
+    #[test]
+    fn events_of_another_kind_or_size_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.lrec");
+        let mut writer = RecordingWriter::create(&path, RecordingKind::Frames, &sensor()).unwrap();
+        assert!(writer.write(&packets(1)[0]).is_err());
+        for event in events(1) {
+            match event {
+                Event::Depth(mut d) => {
+                    d.depth.pop();
+                    assert!(writer.write(&Event::Depth(d)).is_err());
+                }
+                Event::Color(mut c) => {
+                    c.width = 31;
+                    assert!(writer.write(&Event::Color(c)).is_err());
+                }
+                _ => {}
+            }
+        }
+        let mut bad = sensor();
+        bad.color.intrinsics.fx = f64::NAN;
+        assert!(RecordingWriter::create(&path, RecordingKind::Frames, &bad).is_err());
+    }
+
+    #[test]
+    fn every_truncation_gives_the_prefix_and_says_so() {
+        let events = events(3);
+        let (_dir, path) = written(RecordingKind::Frames, &events);
+        let whole = std::fs::read(&path).unwrap();
+        let mut longest = 0;
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            let (prefix, outcome) = read(&path);
+            assert_eq!(prefix, events[..prefix.len()]);
+            assert!(matches!(outcome, Err(Error::Truncated { .. } | Error::Invalid { .. })), "{length}");
+            assert!(RecordingSummary::read(&path).is_err());
+            longest = longest.max(prefix.len());
+        }
+        assert_eq!(longest, events.len());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+        #[test]
+        fn damage_never_panics_nor_changes_an_event(at in any::<usize>(), bit in 0u8..8) {
+            static WHOLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+            let whole = WHOLE.get_or_init(|| {
+                let (_dir, path) = written(RecordingKind::Frames, &events(2));
+                std::fs::read(path).unwrap()
+            });
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("damaged");
+            let mut bytes = whole.clone();
+            let at = at % bytes.len();
+            bytes[at] ^= 1 << bit;
+            std::fs::write(&path, &bytes).unwrap();
+            let (prefix, outcome) = read(&path);
+            prop_assert!(outcome.is_err());
+            prop_assert_eq!(&prefix[..], &events(2)[..prefix.len()]);
+        }
+
+        #[test]
+        fn random_payloads_never_panic(payload in proptest::collection::vec(any::<u8>(), 0..200), tag in 0usize..5) {
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("a.lrec");
+            let mut writer = RecordingWriter::create(&path, RecordingKind::Frames, &sensor()).unwrap();
+            // The checksum is right, the contents are not.
+            writer.file.write(KNOWN[tag].0, &[&payload]).unwrap();
+            writer.finish().unwrap();
+            let _ = read(&path);
+            let _ = RecordingSummary::read(&path);
+        }
+    }
 }

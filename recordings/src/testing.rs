@@ -1,10 +1,12 @@
 //! What the unit tests share.
 
 use crate::decode::encode_depth_png;
+use crate::recording::Event;
 use crate::result::{Decision, Estimate, Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::{CaptureStats, Scan, ScanSource};
 use crate::types::{
-    CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose, Response, Sensor,
+    Accelerometer, CameraModel, ColorEncoding, ColorFrame, DepthFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose,
+    Response, Sensor, UsbPacket,
 };
 use glam::{DQuat, DVec3, Vec3};
 use std::path::PathBuf;
@@ -166,4 +168,44 @@ pub(crate) fn refuses_damage<T>(path: &std::path::Path, read: impl Fn(&std::path
         std::fs::write(&damaged, &bytes).unwrap();
         assert!(read(&damaged).is_err(), "a flip in byte {at} was not noticed");
     }
+}
+
+/// `n` times an accelerometer reading, colour (JPEG, or Bayer for every second) and depth of [`sensor`], 30 ms apart.
+pub(crate) fn events(n: u32) -> Vec<Event> {
+    let one = |i: u32| {
+        let ns = i64::from(i) * 30_000_000;
+        let bytes = if i.is_multiple_of(2) {
+            GRADIENT_JPEG.to_vec()
+        } else {
+            (0..32 * 24).map(|p| (p * 7 % 256) as u8).collect()
+        };
+        let encoding = if i.is_multiple_of(2) { ColorEncoding::Jpeg } else { ColorEncoding::BayerGrbg };
+        let missing_packets = if i == 1 { 7 } else { 0 };
+        let depth = (0..16 * 12u32).map(|p| if p % 13 == 0 { 0 } else { (700 + i * 3 + p / 16 * 5) as u16 });
+        [
+            Event::Accelerometer(Accelerometer { timestamp_ns: ns, acceleration: [0.1, -9.81, i as f32] }),
+            Event::Color(ColorFrame { missing_packets, ..color_frame(ns + 10_000_000, 32, 24, encoding, bytes) }),
+            Event::Depth(DepthFrame {
+                timestamp_ns: ns + 20_000_000,
+                width: 16,
+                height: 12,
+                depth: depth.collect(),
+                missing_packets: i.saturating_sub(1),
+            }),
+        ]
+    };
+    (0..n).flat_map(one).collect()
+}
+
+/// `n` packets of 700 bytes, the second replaced by an accelerometer reading.
+pub(crate) fn packets(n: u32) -> Vec<Event> {
+    let one = |i: u32| match i {
+        1 => Event::Accelerometer(Accelerometer { timestamp_ns: 5, acceleration: [0.0, 0.0, 9.81] }),
+        _ => Event::Packet(UsbPacket {
+            timestamp_ns: i64::from(i) * 125_000,
+            endpoint: if i.is_multiple_of(2) { 0x81 } else { 0x82 },
+            data: (0..700).map(|b| (b * i % 256) as u8).collect(),
+        }),
+    };
+    (0..n).map(one).collect()
 }

@@ -1,0 +1,55 @@
+//! Small files of every version, kept so that what was once written stays readable.
+
+use crate::recording::{Event, RecordingKind, RecordingReader, RecordingWriter};
+use crate::result::Estimate;
+use crate::scan::Scan;
+use crate::testing::{bumpy_mesh, estimate_on, events, packets, scan, sensor};
+use std::path::{Path, PathBuf};
+
+fn samples() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("data/samples")
+}
+
+fn write(dir: &Path) {
+    let recordings =
+        [("v1-frames.lrec", RecordingKind::Frames, events(2)), ("v1-packets.lrec", RecordingKind::Packets, packets(5))];
+    for (name, kind, events) in recordings {
+        let mut writer = RecordingWriter::create(&dir.join(name), kind, &sensor()).unwrap();
+        events.iter().for_each(|e| writer.write(e).unwrap());
+        writer.finish().unwrap();
+    }
+    scan().write(&dir.join("v1.lscan")).unwrap();
+    estimate_on(bumpy_mesh(6)).write(&dir.join("v1.lres")).unwrap();
+}
+
+/// Only for a new version, under new names: what is there must never change.
+#[test]
+#[ignore = "writes the samples: cargo test -p recordings write_samples -- --ignored"]
+fn write_samples() {
+    write(&samples());
+}
+
+#[test]
+fn version_1_is_still_read() {
+    let read = |name: &str| -> Vec<Event> {
+        let mut reader = RecordingReader::open(&samples().join(name)).unwrap();
+        assert_eq!(reader.sensor(), &sensor());
+        std::iter::from_fn(|| reader.next_event().unwrap()).collect()
+    };
+    assert_eq!(read("v1-frames.lrec"), events(2));
+    assert_eq!(read("v1-packets.lrec"), packets(5));
+    assert_eq!(Scan::read(&samples().join("v1.lscan")).unwrap(), scan());
+    let result = Estimate::read(&samples().join("v1.lres")).unwrap();
+    let expected = estimate_on(bumpy_mesh(6));
+    assert_eq!(
+        (&result.segment, &result.segments, &result.light),
+        (&expected.segment, &expected.segments, &expected.light)
+    );
+    assert_eq!((&result.keyframes, &result.decisions), (&expected.keyframes, &expected.decisions));
+    for (a, b) in result.mesh.positions.iter().zip(&expected.mesh.positions) {
+        assert!((a - b).length() < 2e-5);
+    }
+    for (a, b) in result.albedo.iter().zip(&expected.albedo) {
+        assert!((a - b).length() < 0.002);
+    }
+}
