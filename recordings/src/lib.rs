@@ -15,6 +15,7 @@ pub mod recording;
 pub mod result;
 pub mod scan;
 pub mod source;
+pub mod synth;
 pub mod tum;
 pub mod types;
 mod v1;

@@ -1,0 +1,22 @@
+//! The synthetic Kinect: a small path tracer, and the sensor in front of it. It shares no code with the estimator, so
+//! that what it renders can be held against what the estimator finds.
+//!
+//! A [`scene::Scene`] is lit by an [`environment::Environment`]; [`render`] makes linear pictures and depth of it,
+//! [`color_sensor`] and [`depth_sensor`] turn those into what a Kinect V1 would have delivered along a [`path::Arc`].
+
+pub mod bvh;
+pub mod cache;
+pub mod color_sensor;
+pub mod depth_sensor;
+pub mod environment;
+pub mod kinect;
+pub mod material;
+mod parallel;
+pub mod path;
+pub mod random;
+pub mod render;
+pub mod scene;
+pub mod solid;
+pub mod tabletop;
+pub mod texture;
+pub mod trace;
