@@ -3,20 +3,20 @@
 //! Writes `tabletop.lrec`, `tiny.lrec` and `tabletop_truth/` into the folder given. The same bytes come out on any
 //! number of threads.
 
+use glam::Vec3;
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
 use recordings::synth::kinect::{Frame, Kinect};
 use recordings::synth::render::Shading;
 use recordings::synth::scene::Scene;
 use recordings::synth::{cache, tabletop};
 use recordings::types::{ColorEncoding, ColorFrame, RgbImage, TimestampNs};
-use glam::Vec3;
 use serde_json::json;
 use std::error::Error;
 use std::io::Write;
 use std::path::Path;
 
 const CELL_M: f32 = 0.0025;
-const TRUTH_CELL_M: f32 = 0.0075;
+const TRUTH_CELL_M: f32 = 0.008;
 const DIFFUSE_SAMPLES: usize = 640;
 const SAMPLES: usize = 12;
 const JPEG_QUALITY: u8 = 88;
@@ -75,21 +75,34 @@ fn jpeg(rgb: &RgbImage, timestamp_ns: TimestampNs) -> Result<ColorFrame, Box<dyn
     Ok(ColorFrame { timestamp_ns, width, height, encoding: ColorEncoding::Jpeg, bytes, missing_packets: 0 })
 }
 
-fn write_truth(folder: &Path, scene: &Scene, light: &[Vec3], taken: &[Frame], threads: usize) -> Result<(), Box<dyn Error>> {
+fn write_truth(
+    folder: &Path,
+    scene: &Scene,
+    light: &[Vec3],
+    taken: &[Frame],
+    threads: usize,
+) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(folder)?;
     let mut trajectory = String::from("# timestamp tx ty tz qx qy qz qw (colour camera to world)\n");
     for frame in taken {
         let (t, q) = (frame.world_from_camera.translation, frame.world_from_camera.rotation);
         trajectory += &format!(
             "{:.9} {:.7} {:.7} {:.7} {:.8} {:.8} {:.8} {:.8}\n",
-            frame.color_timestamp_ns as f64 * 1e-9, t.x, t.y, t.z, q.x, q.y, q.z, q.w
+            frame.color_timestamp_ns as f64 * 1e-9,
+            t.x,
+            t.y,
+            t.z,
+            q.x,
+            q.y,
+            q.z,
+            q.w
         );
     }
     std::fs::write(folder.join("trajectory.txt"), trajectory)?;
 
     let exposures = json!({
         "timestamp": taken.iter().map(|f| f.color_timestamp_ns as f64 * 1e-9).collect::<Vec<_>>(),
-        "gain": taken.iter().map(|t| rounded(f.gain.gain)).collect::<Vec<_>>(),
+        "gain": taken.iter().map(|f| rounded(f.gain.gain)).collect::<Vec<_>>(),
         "white_balance": taken.iter().map(|f| f.gain.white_balance.to_array().map(rounded)).collect::<Vec<_>>(),
     });
     write_json(&folder.join("exposures.json"), &exposures)?;
@@ -97,10 +110,20 @@ fn write_truth(folder: &Path, scene: &Scene, light: &[Vec3], taken: &[Frame], th
     let coefficients = scene.environment.spherical_harmonics(8);
     write_json(&folder.join("lighting_sh.json"), &json!({ "coefficients": coefficients }))?;
 
-    let coarse = tabletop::tabletop(TRUTH_CELL_M);
-    let (positions, normals) = (&coarse.mesh.positions, &coarse.mesh.normals);
-    let light = cache::gathered_light(scene, light, positions, normals, DIFFUSE_SAMPLES, SEED + 1, threads);
+    let mut coarse = tabletop::tabletop(TRUTH_CELL_M);
+    let light = cache::gathered_light(
+        scene,
+        light,
+        &coarse.mesh.positions,
+        &coarse.mesh.normals,
+        DIFFUSE_SAMPLES,
+        SEED + 1,
+        threads,
+    );
+    // What no light reaches lies within other things.
+    let light = drop_vertices(&mut coarse, light, |light| light == Vec3::ZERO);
     let albedo = coarse.albedo();
+    let (positions, normals) = (&coarse.mesh.positions, &coarse.mesh.normals);
     let materials: Vec<_> = coarse
         .parts
         .iter()
@@ -139,6 +162,22 @@ fn write_truth(folder: &Path, scene: &Scene, light: &[Vec3], taken: &[Frame], th
     }
     std::fs::write(folder.join("mesh.ply"), ply)?;
     Ok(())
+}
+
+/// Drops vertices by their light, and the triangles that lose one; returns the light of those that stay.
+fn drop_vertices(scene: &mut Scene, light: Vec<Vec3>, dropped: impl Fn(Vec3) -> bool) -> Vec<Vec3> {
+    let mut kept = 0..;
+    let index: Vec<Option<u32>> = light.iter().map(|&l| if dropped(l) { None } else { kept.next() }).collect();
+    fn retained<T: Copy>(values: &[T], index: &[Option<u32>]) -> Vec<T> {
+        values.iter().zip(index).filter_map(|(v, i)| i.map(|_| *v)).collect()
+    }
+    let mesh = &mut scene.mesh;
+    mesh.positions = retained(&mesh.positions, &index);
+    mesh.normals = retained(&mesh.normals, &index);
+    scene.part_of_vertex = retained(&scene.part_of_vertex, &index);
+    let moved = |t: &[u32; 3]| Some([index[t[0] as usize]?, index[t[1] as usize]?, index[t[2] as usize]?]);
+    mesh.triangles = mesh.triangles.iter().filter_map(moved).collect();
+    retained(&light, &index)
 }
 
 fn rounded(x: f32) -> f64 {

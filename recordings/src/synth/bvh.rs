@@ -57,8 +57,7 @@ impl Bvh {
     /// Builds the hierarchy of a mesh (which may be empty).
     #[must_use]
     pub fn new(mesh: &Mesh) -> Self {
-        let corners: Vec<[Vec3; 3]> =
-            mesh.triangles.iter().map(|t| t.map(|i| mesh.positions[i as usize])).collect();
+        let corners: Vec<[Vec3; 3]> = mesh.triangles.iter().map(|t| t.map(|i| mesh.positions[i as usize])).collect();
         let mut order: Vec<u32> = (0..corners.len() as u32).collect();
         let mut nodes = vec![Node::EMPTY];
         let mut open = vec![(0usize, bounds(&corners, &order, 0, order.len()))];
@@ -137,15 +136,15 @@ impl Bvh {
             let node = &self.nodes[first as usize];
             let entries = node.entries(origin, inverse, limit);
             let bottom = depth;
-            for slot in 0..4 {
-                if entries[slot] < f32::INFINITY {
+            for (slot, &entry) in entries.iter().enumerate() {
+                if entry < f32::INFINITY {
                     // Insertion keeps the nearest on top.
                     let mut at = depth;
-                    while at > bottom && stack[at - 1].2 < entries[slot] {
+                    while at > bottom && stack[at - 1].2 < entry {
                         stack[at] = stack[at - 1];
                         at -= 1;
                     }
-                    stack[at] = (node.first[slot], node.count[slot], entries[slot]);
+                    stack[at] = (node.first[slot], node.count[slot], entry);
                     depth += 1;
                 }
             }

@@ -55,12 +55,12 @@ fn integrate(
         let (mut of_light, mut of_cosine) = (Stratified::new(&mut rng), Stratified::new(&mut rng));
         let mut sum = Vec3::ZERO;
         for _ in 0..samples {
-            let (direction, density) = scene.environment.sample(of_light.next());
+            let (direction, density) = scene.environment.sample(of_light.point());
             let own = normal.dot(direction) / PI;
             if own > 0.0 && scene.lit(position, normal, direction) {
                 sum += scene.environment.radiance(direction) * (own / density * heuristic(density, own));
             }
-            let direction = cosine_direction(normal, of_cosine.next());
+            let direction = cosine_direction(normal, of_cosine.point());
             let own = normal.dot(direction).max(0.0) / PI;
             sum += match scene.next(position, normal, direction) {
                 None => arriving(&scene.environment, direction, own),

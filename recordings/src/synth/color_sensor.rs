@@ -116,7 +116,8 @@ fn blur(picture: &Image<Vec3>, sigma: f32) -> Vec<Vec3> {
     }
     let (width, height) = (picture.width as usize, picture.height as usize);
     let radius = (3.0 * sigma).ceil() as isize;
-    let raw: Vec<f32> = (-radius..=radius).map(|i| libm::expf(-0.5 * (i as f32 / sigma) * (i as f32 / sigma))).collect();
+    let raw: Vec<f32> =
+        (-radius..=radius).map(|i| libm::expf(-0.5 * (i as f32 / sigma) * (i as f32 / sigma))).collect();
     let sum: f32 = raw.iter().sum();
     let pass = |data: &[Vec3], length: usize, stride: usize, position: &dyn Fn(usize) -> usize| -> Vec<Vec3> {
         (0..data.len())

@@ -84,10 +84,8 @@ impl DepthSensor {
         let turn = world_from_camera.rotation.as_quat();
         let projector = origin + turn * Vec3::X * self.baseline_m as f32;
         let depth = parallel::map(width * height, width, threads, |k| {
-            let pixel = [
-                (k % width) as f32 + self.lateral_px * dx.data[k],
-                (k / width) as f32 + self.lateral_px * dy.data[k],
-            ];
+            let pixel =
+                [(k % width) as f32 + self.lateral_px * dx.data[k], (k / width) as f32 + self.lateral_px * dy.data[k]];
             let direction = turn * ray(camera, pixel);
             let length = direction.length();
             let Some(surface) = scene.intersect(origin, direction / length) else { return 0 };
@@ -115,7 +113,8 @@ impl DepthSensor {
         }
         let (all, _) = material.evaluate(base, surface.normal, view, beam);
         let gloss = luminance(all) * std::f32::consts::PI / diffuse - 1.0;
-        gloss < self.brightest_gloss * (1.0 + 0.3 * ragged) && !scene.blocked(surface.position, surface.facet, projector)
+        gloss < self.brightest_gloss * (1.0 + 0.3 * ragged)
+            && !scene.blocked(surface.position, surface.facet, projector)
     }
 }
 
@@ -123,8 +122,7 @@ impl DepthSensor {
 fn patches(width: usize, height: usize, seed: u64, layer: u64) -> Image<f32> {
     const KERNEL: [f32; 5] = [1.0, 2.0, 3.0, 2.0, 1.0];
     const NORM: f32 = 1.0 / 19.0;
-    let white: Vec<f32> =
-        (0..width * height).map(|k| Rng::new(seed ^ (layer + 1) << 40, k as u64).normal()).collect();
+    let white: Vec<f32> = (0..width * height).map(|k| Rng::new(seed ^ (layer + 1) << 40, k as u64).normal()).collect();
     let pass = |data: &[f32], across: bool| -> Vec<f32> {
         let (length, stride) = if across { (width, 1) } else { (height, width) };
         let taps = |k: usize| {

@@ -28,9 +28,8 @@ impl Environment {
     #[must_use]
     pub fn new(height: usize, radiance: impl Fn(Vec3) -> Vec3) -> Self {
         let width = 2 * height;
-        let direction = |r: usize, c: usize| {
-            direction_of((r as f32 + 0.5) / height as f32, (c as f32 + 0.5) / width as f32)
-        };
+        let direction =
+            |r: usize, c: usize| direction_of((r as f32 + 0.5) / height as f32, (c as f32 + 0.5) / width as f32);
         let map: Vec<Vec3> =
             (0..height * width).map(|k| radiance(direction(k / width, k % width)).max(Vec3::ZERO)).collect();
         let solid = solid_angles(height, width);
@@ -38,7 +37,12 @@ impl Environment {
             .map(|k| {
                 // The lookup is bilinear: a texel's light reaches its neighbours, which must not have density 0.
                 let (r, c) = (k / width, k % width);
-                let around = [(r, (c + 1) % width), (r, (c + width - 1) % width), ((r + 1).min(height - 1), c), (r.saturating_sub(1), c)];
+                let around = [
+                    (r, (c + 1) % width),
+                    (r, (c + width - 1) % width),
+                    ((r + 1).min(height - 1), c),
+                    (r.saturating_sub(1), c),
+                ];
                 let neighbours: f32 = around.iter().map(|&(r, c)| luminance(map[r * width + c])).sum();
                 (luminance(map[k]) + 0.05 * neighbours + 1e-6) * solid[r]
             })
@@ -78,7 +82,8 @@ impl Environment {
     #[must_use]
     pub fn normalised(mut self) -> Self {
         let solid = solid_angles(self.height, self.width);
-        let mean = self.map.iter().enumerate().map(|(k, &l)| luminance(l) * solid[k / self.width]).sum::<f32>() / (4.0 * PI);
+        let mean =
+            self.map.iter().enumerate().map(|(k, &l)| luminance(l) * solid[k / self.width]).sum::<f32>() / (4.0 * PI);
         self.map.iter_mut().for_each(|l| *l /= mean);
         self
     }

@@ -34,6 +34,9 @@ pub struct Kinect {
     exposure: AutoExposure,
 }
 
+/// Time stamp of the first colour frame: a clock that was running before.
+const START_NS: TimestampNs = 1_000_000_000;
+
 /// One frame and its truth.
 #[derive(Debug, Clone)]
 pub struct Frame {
@@ -96,21 +99,21 @@ impl Kinect {
         }
     }
 
-    /// Takes frame `index`; call in order, for the exposure follows the frames before. `pose(seconds)` is the path.
+    /// Takes frame `index`; call in order, for the exposure follows the frames before. `pose(seconds)` is the path, from
+    /// the first frame on.
     pub fn frame(&mut self, scene: &Scene, shading: Shading, index: u32, pose: &dyn Fn(f64) -> Pose) -> Frame {
         let seed = Rng::family(self.seed, u64::from(index));
-        let color_timestamp_ns = TimestampNs::from(index) * self.period_ns;
-        let time_s = color_timestamp_ns as f64 * 1e-9;
+        let since_start_ns = TimestampNs::from(index) * self.period_ns;
+        let (color_timestamp_ns, time_s) = (START_NS + since_start_ns, since_start_ns as f64 * 1e-9);
         let depth_timestamp_ns = color_timestamp_ns + self.depth_delay_ns;
-        let depth_pose = pose(depth_timestamp_ns as f64 * 1e-9);
+        let depth_pose = pose(time_s + self.depth_delay_ns as f64 * 1e-9);
         let shutter = [pose(time_s - 0.5 * self.shutter_s), pose(time_s + 0.5 * self.shutter_s)];
         let exposure = Exposure { shutter, samples: self.samples, seed, threads: self.threads };
         let picture = render::color(scene, shading, &self.camera, &exposure);
         let mut rng = Rng::new(seed, u64::MAX);
         let gain = self.exposure.next(&self.color, &picture, time_s, &mut rng);
         let rgb = self.color.expose(&picture, gain, seed ^ 1);
-        let depth =
-            self.depth.frame(scene, &self.camera, &depth_pose, depth_timestamp_ns, seed ^ 2, self.threads);
+        let depth = self.depth.frame(scene, &self.camera, &depth_pose, depth_timestamp_ns, seed ^ 2, self.threads);
         let up = depth_pose.rotation.conjugate() * DVec3::new(0.0, 0.0, 9.81);
         let acceleration = up.as_vec3().to_array().map(|a| a + 0.05 * rng.normal());
         let accelerometer = Accelerometer { timestamp_ns: depth_timestamp_ns, acceleration };

@@ -70,7 +70,8 @@ impl Material {
         let h = side * p1 + up * p2 + stretched * (1.0 - p1 * p1 - p2 * p2).max(0.0).sqrt();
         let h = Vec3::new(self.alpha * h.x, self.alpha * h.y, h.z.max(1e-6)).normalize();
         let i = h * (2.0 * h.dot(o)) - o;
-        let weight = if i.z <= 0.0 { 0.0 } else { (1.0 + self.lambda(o.z)) / (1.0 + self.lambda(o.z) + self.lambda(i.z)) };
+        let weight =
+            if i.z <= 0.0 { 0.0 } else { (1.0 + self.lambda(o.z)) / (1.0 + self.lambda(o.z) + self.lambda(i.z)) };
         ((t * i.x + b * i.y + normal * i.z).normalize(), weight)
     }
 

@@ -9,6 +9,7 @@ pub mod cache;
 pub mod color_sensor;
 pub mod depth_sensor;
 pub mod environment;
+mod fruit;
 pub mod kinect;
 pub mod material;
 mod parallel;
@@ -16,7 +17,11 @@ pub mod path;
 pub mod random;
 pub mod render;
 pub mod scene;
+pub mod scenes;
 pub mod solid;
 pub mod tabletop;
 pub mod texture;
 pub mod trace;
+
+#[cfg(test)]
+mod tests;

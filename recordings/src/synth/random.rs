@@ -51,7 +51,7 @@ impl Stratified {
     }
 
     /// The next point of [0, 1)².
-    pub fn next(&mut self) -> [f32; 2] {
+    pub fn point(&mut self) -> [f32; 2] {
         const STEP: [f32; 2] = [0.754_877_7, 0.569_840_3];
         for (x, step) in self.0.iter_mut().zip(STEP) {
             *x += step;

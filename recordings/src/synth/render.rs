@@ -60,7 +60,7 @@ pub fn color(scene: &Scene, shading: Shading, camera: &Intrinsics, exposure: &Ex
         let mut points = Stratified::new(&mut rng);
         let mut sum = Vec3::ZERO;
         for sample in 0..exposure.samples {
-            let [x, y] = points.next();
+            let [x, y] = points.point();
             // Moments of the shutter are stratified by sample number, so that they fall evenly on every part of a pixel.
             let moment = (sample as f32 + rng.uniform()) / exposure.samples as f32;
             let (origin, turn) = between(&exposure.shutter, moment);

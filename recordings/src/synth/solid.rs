@@ -60,7 +60,12 @@ pub fn smooth_profile(points: &[Vec2], steps: usize) -> Vec<Vec2> {
         let (a, b, c, d) = (at(k - 1), at(k), at(k + 1), at(k + 2));
         for s in 0..steps {
             let t = s as f32 / steps as f32;
-            out.push(0.5 * (2.0 * b + (c - a) * t + (2.0 * a - 5.0 * b + 4.0 * c - d) * t * t + (3.0 * b - a - 3.0 * c + d) * t * t * t));
+            out.push(
+                0.5 * (2.0 * b
+                    + (c - a) * t
+                    + (2.0 * a - 5.0 * b + 4.0 * c - d) * t * t
+                    + (3.0 * b - a - 3.0 * c + d) * t * t * t),
+            );
         }
     }
     out.extend(points.last());

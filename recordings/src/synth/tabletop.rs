@@ -1,6 +1,7 @@
 //! The tabletop: what the bundled recording shows.
 
 use super::environment::Environment;
+use super::fruit;
 use super::material::Material;
 use super::path::Arc;
 use super::scene::{Part, Scene, Texture};
@@ -10,21 +11,21 @@ use glam::{DVec3, Quat, Vec2, Vec3};
 
 /// Where a solid of its own frame stands: turned about z, then moved.
 #[derive(Debug, Clone, Copy)]
-struct Place {
-    at: Vec3,
-    turn: Quat,
+pub(super) struct Place {
+    pub(super) at: Vec3,
+    pub(super) turn: Quat,
 }
 
 impl Place {
-    fn new(x: f32, y: f32, z: f32, yaw_deg: f32) -> Self {
+    pub(super) fn new(x: f32, y: f32, z: f32, yaw_deg: f32) -> Self {
         Self { at: Vec3::new(x, y, z), turn: Quat::from_rotation_z(yaw_deg.to_radians()) }
     }
 
-    fn tilted(self, about: Vec3, deg: f32) -> Self {
+    pub(super) fn tilted(self, about: Vec3, deg: f32) -> Self {
         Self { turn: self.turn * Quat::from_axis_angle(about.normalize(), deg.to_radians()), ..self }
     }
 
-    fn local(self, p: Vec3) -> Vec3 {
+    pub(super) fn local(self, p: Vec3) -> Vec3 {
         self.turn.inverse() * (p - self.at)
     }
 }
@@ -32,9 +33,17 @@ impl Place {
 /// Builds the tabletop with cells of `cell_m` metres on the objects (half as fine again on the table).
 #[must_use]
 pub fn tabletop(cell_m: f32) -> Scene {
-    let (mut parts, fruit) = bowl_of_fruit(cell_m);
+    let (mut parts, fruit) = fruit::bowl_of_fruit(cell_m);
     parts.extend(fruit);
-    parts.extend([table(1.5 * cell_m), mat(cell_m), vase(cell_m), mug(cell_m), rings(cell_m), bear(cell_m), pear(cell_m)]);
+    parts.extend([
+        table(1.5 * cell_m),
+        mat(cell_m),
+        vase(cell_m),
+        mug(cell_m),
+        rings(cell_m),
+        bear(cell_m),
+        fruit::pear(cell_m),
+    ]);
     parts.push(ball(cell_m));
     parts.extend(blocks(cell_m));
     Scene::new(parts, living_room())
@@ -56,7 +65,7 @@ pub fn arc() -> Arc {
     }
 }
 
-fn part(
+pub(super) fn part(
     name: &'static str,
     material: Material,
     place: Place,
@@ -111,97 +120,25 @@ fn table(cell: f32) -> Part {
 fn mat(cell: f32) -> Part {
     let place = Place::new(0.02, 0.02, 0.0, 12.0);
     let solid = |p: Vec3| solid::rounded_box(p, Vec3::new(0.225, 0.165, 0.0035), 0.003);
-    let mesh = solid::mesh(&|p| solid(place.local(p)), Vec3::new(-0.29, -0.26, -0.008), Vec3::new(0.33, 0.30, 0.008), cell);
+    let mesh =
+        solid::mesh(&|p| solid(place.local(p)), Vec3::new(-0.29, -0.26, -0.008), Vec3::new(0.33, 0.30, 0.008), cell);
     let color = move |p: Vec3| {
         check(place.local(p).truncate(), 0.021, Vec3::new(0.62, 0.58, 0.48), Vec3::new(0.10, 0.17, 0.33))
     };
     Part { name: "mat", material: Material::MATTE, texture: Box::new(color), mesh }
 }
 
-fn bowl_of_fruit(cell: f32) -> (Vec<Part>, Vec<Part>) {
-    let place = Place::new(0.0, 0.035, 0.003, 0.0);
-    let rim: [(f32, f32); 6] = [(0.0, 0.0045), (0.036, 0.0045), (0.058, 0.010), (0.088, 0.032), (0.108, 0.060), (0.115, 0.080)];
-    let profile = solid::smooth_profile(&rim.map(Vec2::from), 6);
-    let inside = profile.clone();
-    let bowl_distance = move |p: Vec3| solid::turned_shell(place.local(p), &inside, 0.009);
-    let glaze = |p: Vec3| {
-        let rim = step(0.072, 0.076, p.z + 0.0015 * clouds(p / 0.02));
-        mottled(Vec3::new(0.10, 0.33, 0.34).lerp(Vec3::new(0.30, 0.16, 0.08), rim), p, 0.012, 0.14)
-    };
-    let shell: Solid = Box::new(move |p| solid::turned_shell(p, &profile, 0.009));
-    let bowl = part("bowl", Material::glossy(0.07, 0.14), place, 0.13, cell, shell, glaze);
-
-    // The fruit lie as balls would that are lowered one after the other at these places.
-    let balls: [(f32, f32, f32); 5] =
-        [(-0.048, 0.010, 0.037), (0.030, -0.028, 0.036), (0.026, 0.050, 0.038), (-0.024, -0.052, 0.029), (0.006, 0.012, 0.034)];
-    let mut rest: Vec<(Vec3, f32)> = Vec::new();
-    for (x, y, radius) in balls {
-        let mut centre = place.at + Vec3::new(x, y, 0.25);
-        let free = |c: Vec3| bowl_distance(c) > radius && rest.iter().all(|(o, r)| o.distance(c) > r + radius);
-        while centre.z > 0.0 && free(centre - Vec3::Z * 0.0005) {
-            centre.z -= 0.0005;
-        }
-        rest.push((centre, radius));
-    }
-    let at = |k: usize| Place { at: rest[k].0, turn: Quat::IDENTITY };
-    let orange = |k: usize| {
-        let radius = rest[k].1;
-        let peel: Solid = Box::new(move |p| solid::sphere(p, radius) + 0.00035 * noise(p / 0.0022));
-        let color = |p: Vec3| mottled(Vec3::new(0.80, 0.27, 0.025), p, 0.02, 0.10) * (1.0 + 0.10 * noise(p / 0.0022));
-        part("orange", Material::glossy(0.04, 0.28), at(k), radius + 0.008, cell, peel, color)
-    };
-    let lemon_peel: Solid = Box::new(|p| {
-        let tips = solid::sphere(p - Vec3::X * 0.036, 0.008).min(solid::sphere(p + Vec3::X * 0.036, 0.006));
-        solid::blend(solid::ellipsoid(p, Vec3::new(0.040, 0.029, 0.029)), tips, 0.012) + 0.0003 * noise(p / 0.003)
-    });
-    let lemon_color = |p: Vec3| mottled(Vec3::new(0.82, 0.62, 0.06), p, 0.015, 0.08);
-    let lemon = part("lemon", Material::glossy(0.04, 0.25), at(3).tilted(Vec3::new(0.2, 0.3, 1.0), 25.0), 0.056, cell, lemon_peel, lemon_color);
-    let fruit = vec![orange(0), apple(at(1), rest[1].1, cell), orange(2), lemon, apple(at(4), rest[4].1, cell)];
-    (vec![bowl], fruit)
-}
-
-fn apple(place: Place, radius: f32, cell: f32) -> Part {
-    let place = place.tilted(Vec3::new(1.0, -0.6, 0.0), 24.0);
-    let skin: Solid = Box::new(move |p| {
-        let polar = libm::atan2f(p.truncate().length(), p.z);
-        let dip = |angle: f32, depth: f32| depth * libm::expf(-angle * angle / 0.16);
-        let flesh = p.length() - radius * (1.03 - dip(polar, 0.30) - dip(std::f32::consts::PI - polar, 0.16));
-        let stem = Vec2::new(p.x - 0.15 * (p.z - 0.02), p.y).length() - 0.0020;
-        let stem = stem.max(p.z - radius * 1.12).max(0.01 - p.z);
-        solid::blend(flesh, stem, 0.003)
-    });
-    let color = move |p: Vec3| {
-        let green = step(-0.1, 0.75, clouds(p / 0.05) + 0.9 * (p.z / radius) + 0.5 * p.x / radius - 0.35);
-        let streaks = clouds(Vec3::new(libm::atan2f(p.y, p.x) * 9.0, p.z * 30.0, 0.0));
-        let skin = Vec3::new(0.48, 0.035, 0.025).lerp(Vec3::new(0.50, 0.44, 0.07), green) * (1.0 + 0.18 * streaks);
-        let stem = step(0.0050, 0.0030, p.truncate().length()) * step(0.75 * radius, 0.85 * radius, p.z);
-        skin.lerp(Vec3::new(0.10, 0.06, 0.03), stem)
-    };
-    part("apple", Material::glossy(0.05, 0.16), place, 1.25 * radius, cell, skin, color)
-}
-
-fn pear(cell: f32) -> Part {
-    let flesh: Solid = Box::new(|p| {
-        let body = solid::sphere(p - Vec3::Z * 0.033, 0.034);
-        let neck = solid::sphere(p - Vec3::new(0.002, 0.0, 0.074), 0.017);
-        let stem = Vec2::new(p.x - 0.002 - 0.2 * (p.z - 0.085), p.y).length() - 0.0021;
-        let stem = stem.max(p.z - 0.105).max(0.085 - p.z);
-        solid::blend(solid::blend(body, neck, 0.050), stem, 0.003)
-    });
-    let color = |p: Vec3| {
-        let blush = step(0.0, 0.9, clouds(p / 0.04) + p.x / 0.04);
-        let freckles = step(0.45, 0.7, noise(p / 0.0026));
-        let skin = Vec3::new(0.44, 0.48, 0.09).lerp(Vec3::new(0.58, 0.30, 0.09), blush) * (1.0 - 0.25 * freckles);
-        skin.lerp(Vec3::new(0.12, 0.07, 0.03), step(0.0915, 0.0925, p.z))
-    };
-    let place = Place::new(0.165, -0.040, 0.003, 70.0);
-    let mut pear = part("pear", Material::glossy(0.03, 0.30), place, 0.11, cell, flesh, color);
-    pear.name = "pear";
-    pear
-}
-
 fn vase(cell: f32) -> Part {
-    let line = [(0.0, 0.006), (0.030, 0.006), (0.048, 0.032), (0.053, 0.062), (0.042, 0.105), (0.024, 0.140), (0.022, 0.160), (0.032, 0.182)];
+    let line = [
+        (0.0, 0.006),
+        (0.030, 0.006),
+        (0.048, 0.032),
+        (0.053, 0.062),
+        (0.042, 0.105),
+        (0.024, 0.140),
+        (0.022, 0.160),
+        (0.032, 0.182),
+    ];
     let profile = solid::smooth_profile(&line.map(Vec2::from), 6);
     let shell: Solid = Box::new(move |p| solid::turned_shell(p, &profile, 0.009));
     let color = |p: Vec3| {
@@ -216,12 +153,14 @@ fn mug(cell: f32) -> Part {
     let line = [(0.0, 0.005), (0.027, 0.005), (0.036, 0.010), (0.039, 0.030), (0.040, 0.060), (0.0405, 0.088)];
     let profile = solid::smooth_profile(&line.map(Vec2::from), 6);
     let shell: Solid = Box::new(move |p| {
-        let handle = solid::torus(Vec3::new(p.x - 0.044, p.z - 0.046, p.y), 0.025, 0.0055).max(0.040 - p.truncate().length());
+        let handle =
+            solid::torus(Vec3::new(p.x - 0.044, p.z - 0.046, p.y), 0.025, 0.0055).max(0.040 - p.truncate().length());
         solid::blend(solid::turned_shell(p, &profile, 0.008), handle, 0.006)
     });
     let color = |p: Vec3| {
         let white = mottled(Vec3::new(0.74, 0.71, 0.64), p, 0.006, 0.05);
-        let band = step(0.054, 0.055, p.z) * step(0.076, 0.075, p.z) + step(0.046, 0.047, p.z) * step(0.050, 0.049, p.z);
+        let band =
+            step(0.054, 0.055, p.z) * step(0.076, 0.075, p.z) + step(0.046, 0.047, p.z) * step(0.050, 0.049, p.z);
         let outside = step(0.036, 0.038, p.truncate().length()) * step(0.0485, 0.0475, p.truncate().length());
         white.lerp(Vec3::new(0.62, 0.10, 0.06), band * outside)
     };
@@ -289,8 +228,14 @@ fn bear(cell: f32) -> Part {
         let head = solid::ellipsoid(p - Vec3::new(0.0, -0.005, 0.110), Vec3::new(0.034, 0.031, 0.031));
         let ear = solid::ellipsoid(q - Vec3::new(0.027, -0.002, 0.137), Vec3::new(0.0125, 0.0080, 0.0125));
         let snout = solid::ellipsoid(p - Vec3::new(0.0, -0.032, 0.102), Vec3::new(0.0145, 0.0125, 0.0115));
-        let arm = solid::ellipsoid(Quat::from_rotation_y(0.5) * (q - Vec3::new(0.037, -0.014, 0.058)), Vec3::new(0.0125, 0.0150, 0.0250));
-        let leg = solid::ellipsoid(Quat::from_rotation_z(0.35) * (q - Vec3::new(0.026, -0.034, 0.0165)), Vec3::new(0.0155, 0.0240, 0.0165));
+        let arm = solid::ellipsoid(
+            Quat::from_rotation_y(0.5) * (q - Vec3::new(0.037, -0.014, 0.058)),
+            Vec3::new(0.0125, 0.0150, 0.0250),
+        );
+        let leg = solid::ellipsoid(
+            Quat::from_rotation_z(0.35) * (q - Vec3::new(0.026, -0.034, 0.0165)),
+            Vec3::new(0.0155, 0.0240, 0.0165),
+        );
         let limbs = [head, arm, leg].into_iter().fold(body, |a, b| solid::blend(a, b, 0.009));
         let all = solid::blend(solid::blend(limbs, ear, 0.006), snout, 0.005);
         all + 0.0011 * clouds(p / 0.0085)
@@ -304,7 +249,9 @@ fn bear(cell: f32) -> Part {
             + spot(Vec3::new(0.034, -0.057, 0.0165), 0.0105);
         let dark = spot(Vec3::new(0.0, -0.0455, 0.106), 0.0058) + spot(Vec3::new(0.0125, -0.0335, 0.1165), 0.0040);
         let plush = mottled(Vec3::new(0.36, 0.185, 0.085), p, 0.005, 0.22);
-        plush.lerp(mottled(Vec3::new(0.62, 0.45, 0.28), p, 0.004, 0.12), light.min(1.0)).lerp(Vec3::splat(0.02), dark.min(1.0))
+        plush
+            .lerp(mottled(Vec3::new(0.62, 0.45, 0.28), p, 0.004, 0.12), light.min(1.0))
+            .lerp(Vec3::splat(0.02), dark.min(1.0))
     };
     part("bear", Material::MATTE, Place::new(-0.225, -0.120, 0.0005, 24.0), 0.16, cell, figure, color)
 }
