@@ -41,9 +41,7 @@ impl ChunkWriter {
     /// # Errors
     /// The folder cannot be written.
     pub fn create(path: &Path, kind: Tag, version: u32) -> Result<Self> {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(".part");
-        let part = path.with_file_name(name);
+        let part = beside(path, ".part")?;
         let file = File::create(&part).map_err(|e| Error::io(&part, e))?;
         let file = Some(BufWriter::with_capacity(BUFFER_BYTES, file));
         let mut writer = Self { path: path.to_path_buf(), part, file };
@@ -94,6 +92,16 @@ impl ChunkWriter {
         self.file = None;
         sync_folder(&self.path)
     }
+}
+
+/// The path with `ending` appended to its file name.
+pub(crate) fn beside(path: &Path, ending: &str) -> Result<PathBuf> {
+    let Some(name) = path.file_name() else {
+        return Err(Error::invalid(path, "not the name of a file", "give a name in an existing folder"));
+    };
+    let mut name = name.to_os_string();
+    name.push(ending);
+    Ok(path.with_file_name(name))
 }
 
 /// Makes a rename in the folder of `path` durable.
@@ -383,6 +391,8 @@ mod tests {
         assert!(dir.path().join("file.test.part").exists());
         drop(writer);
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+        assert!(ChunkWriter::create(Path::new("/"), KIND, 3).is_err());
+        assert!(ChunkWriter::create(&dir.path().join("none/file.test"), KIND, 3).is_err());
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! neighbours mostly share one: depths become indices into a table of the values present, an index is predicted from
 //! its left (else upper) neighbour, and the difference is entropy coded (range asymmetric numeral systems, Duda 2013)
 //! with frequencies that depend on how the upper neighbours differ from the prediction. The image is cut into
-//! [`BANDS`] bands that are decoded in step: one band alone would wait for its own last pixel most of the time.
+//! [`BANDS`] bands that are decoded in step: one band alone would wait for its own last pixel much of the time.
 //!
 //! Layout: `mode u8`; mode 0: the depths, little-endian; mode 1: the value table, the frequency tables, then each
 //! band's escaped indices and coded 16-bit words.
@@ -231,18 +231,12 @@ impl DepthDecoder {
         // Bands differ by a row at most.
         let common = height / BANDS;
         for y in 0..common {
-            for x in 0..width {
-                for band in &mut bands {
-                    band.pixel(x, &self.slots);
-                }
-            }
-            for band in &mut bands {
-                band.end_row(y, width, &values);
-            }
+            decode_row(&mut bands, width, &self.slots);
+            bands.iter_mut().for_each(|band| band.end_row(y, width, &values));
         }
         for band in &mut bands {
             for y in common..band.rows.len() / width {
-                (0..width).for_each(|x| band.pixel(x, &self.slots));
+                decode_row(std::array::from_mut(band), width, &self.slots);
                 band.end_row(y, width, &values);
             }
         }
@@ -272,6 +266,54 @@ fn read_frequencies(input: &mut Input, slots: &mut [Slot; TOTAL as usize]) -> Re
     Ok(())
 }
 
+/// Decodes one row of each band, pixel by pixel in step; what changes from pixel to pixel is held in locals.
+fn decode_row<const N: usize>(bands: &mut [Band; N], width: usize, slots: &[[Slot; TOTAL as usize]]) {
+    let mut states = [0; N];
+    let mut lasts = [0; N];
+    let mut sound = [true; N];
+    // W, NW, N of the next pixel.
+    let mut near = [[0u16; 3]; N];
+    for (b, band) in bands.iter().enumerate() {
+        (states[b], lasts[b], near[b][2]) = (band.state, band.last, band.above[1]);
+    }
+    for x in 0..width {
+        for b in 0..N {
+            let band = &mut bands[b];
+            let [w, nw, n] = near[b];
+            let ne = band.above[x + 2];
+            let (predicted, context) = Neighbours { w, nw, n, ne }.predict(lasts[b]);
+            let Slot(slot) = slots[context][(states[b] % TOTAL) as usize];
+            let mut state = (slot >> 5 & 0x7ff) * (states[b] >> PRECISION) + (slot >> 16);
+            if state < STATE_LOW {
+                match band.words.next() {
+                    Some(word) => state = state << 16 | u32::from(u16::from_le_bytes(*word)),
+                    None => sound[b] = false,
+                }
+            }
+            states[b] = state;
+            let symbol = slot % SYMBOLS as u32;
+            let zigzag = symbol.wrapping_sub(1);
+            let mut index = predicted.wrapping_add((zigzag >> 1) as u16 ^ (zigzag & 1).wrapping_neg() as u16);
+            if symbol == ESCAPE as u32 {
+                let escaped = band.escapes.next().map(|w| u16::from_le_bytes(*w));
+                sound[b] &= escaped.is_some();
+                index = escaped.unwrap_or(0);
+            }
+            if symbol == 0 {
+                index = 0;
+            } else {
+                lasts[b] = index;
+            }
+            band.row[x + 1] = index;
+            near[b] = [index, n, ne];
+        }
+    }
+    for (b, band) in bands.iter_mut().enumerate() {
+        (band.state, band.last) = (states[b], lasts[b]);
+        band.sound &= sound[b];
+    }
+}
+
 /// One band under way.
 struct Band<'a> {
     state: u32,
@@ -293,35 +335,6 @@ impl<'a> Band<'a> {
         let state = word()? << 16 | word()?;
         let empty = vec![0; width + 2];
         Ok(Self { state, escapes, words, sound: true, above: empty.clone(), row: empty, last: 0, rows })
-    }
-
-    #[inline(always)]
-    fn pixel(&mut self, x: usize, slots: &[[Slot; TOTAL as usize]]) {
-        let near = Neighbours { w: self.row[x], nw: self.above[x], n: self.above[x + 1], ne: self.above[x + 2] };
-        let (predicted, context) = near.predict(self.last);
-        let Slot(slot) = slots[context][(self.state % TOTAL) as usize];
-        self.state = (slot >> 5 & 0x7ff) * (self.state >> PRECISION) + (slot >> 16);
-        if self.state < STATE_LOW {
-            match self.words.next() {
-                Some(word) => self.state = self.state << 16 | u32::from(u16::from_le_bytes(*word)),
-                None => self.sound = false,
-            }
-        }
-        let symbol = slot % SYMBOLS as u32;
-        let index = if symbol == 0 {
-            0
-        } else if symbol < ESCAPE as u32 {
-            let zigzag = symbol - 1;
-            let index = predicted.wrapping_add((zigzag >> 1) as u16 ^ (zigzag & 1).wrapping_neg() as u16);
-            self.last = index;
-            index
-        } else {
-            let index = self.escapes.next().map(|w| u16::from_le_bytes(*w));
-            self.sound &= index.is_some();
-            self.last = index.unwrap_or(0);
-            self.last
-        };
-        self.row[x + 1] = index;
     }
 
     fn end_row(&mut self, y: usize, width: usize, values: &[u16]) {

@@ -390,12 +390,13 @@ impl RecordingReader {
                 Some(Event::Accelerometer(Accelerometer { timestamp_ns, acceleration }))
             }
             PACKETS => {
-                let mut rest = self.payload.as_slice();
+                let (mut packets, mut rest) = (VecDeque::new(), self.payload.as_slice());
                 while !rest.is_empty() {
                     let (packet, tail) = parse_packet(rest).ok_or("a packet ends early")?;
-                    self.packets.push_back(packet);
+                    packets.push_back(packet);
                     rest = tail;
                 }
+                self.packets = packets;
                 None
             }
             _ => return Err("a second header".into()),

@@ -1,6 +1,6 @@
 //! Scans (`.lscan`): what fusion hands to the estimator.
 
-use crate::chunk::{ChunkReader, ChunkWriter, Tag};
+use crate::chunk::{ChunkReader, ChunkWriter, Tag, beside};
 use crate::error::{Error, Result};
 use crate::lists::format_seconds;
 use crate::types::{ColorFrame, Keyframe, Mesh, Pose, RawVec3, Sensor};
@@ -156,9 +156,7 @@ impl ScanWriter {
     /// # Errors
     /// The folder cannot be written.
     pub fn create(path: &Path) -> Result<Self> {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(".frames.part");
-        let spool = path.with_file_name(name);
+        let spool = beside(path, ".frames.part")?;
         let file = File::options().read(true).write(true).create(true).truncate(true).open(&spool);
         let file = BufWriter::new(file.map_err(|e| Error::io(&spool, e))?);
         Ok(Self { path: path.to_path_buf(), spool, file, frames: BTreeMap::new(), bytes: 0 })
@@ -251,11 +249,22 @@ fn write_frame(writer: &mut ChunkWriter, tag: Tag, frame: &Keyframe) -> Result<(
         color: ColorV1::from(&frame.color),
     };
     let refuse = |problem: String| Error::invalid(writer.path(), problem, "this scan cannot be stored");
+    check_frame(frame).map_err(refuse)?;
     let head = to_bytes(&head).map_err(refuse)?;
     if head.len() + frame.color.bytes.len() > FRAME_BYTES as usize {
         return Err(refuse(format!("picture of {} bytes", frame.color.bytes.len())));
     }
     writer.write(tag, &[&head, &frame.color.bytes])
+}
+
+fn check_frame(frame: &Keyframe) -> std::result::Result<(), String> {
+    let (i, c) = (&frame.camera.intrinsics, &frame.color);
+    if (i.width, i.height) != (c.width, c.height) {
+        let sizes = format!("is {}x{}, its camera {}x{}", c.width, c.height, i.width, i.height);
+        return Err(format!("frame {} {sizes}", frame.name));
+    }
+    let sound = frame.world_from_camera.is_finite() && frame.camera.problem().is_none();
+    if sound { Ok(()) } else { Err(format!("frame {} has a pose or camera that makes no sense", frame.name)) }
 }
 
 /// What makes a mesh unfit to be stored, if anything: numbers that are not finite, indices out of range.
@@ -359,12 +368,14 @@ fn vectors(payload: &[u8]) -> std::result::Result<Vec<Vec3>, String> {
 
 fn read_frame(payload: &[u8]) -> std::result::Result<Keyframe, String> {
     let (head, bytes) = from_bytes::<KeyframeV1>(payload)?;
-    Ok(Keyframe {
+    let frame = Keyframe {
         name: head.name,
         world_from_camera: head.world_from_camera.try_into()?,
         camera: head.camera.try_into()?,
         color: head.color.with_bytes(bytes),
-    })
+    };
+    check_frame(&frame)?;
+    Ok(frame)
 }
 
 #[cfg(test)]
@@ -434,6 +445,12 @@ mod tests {
         assert!(bad.write(&path).is_err());
         let mut bad = scan();
         bad.mesh.positions[3].y = f32::NAN;
+        assert!(bad.write(&path).is_err());
+        let mut bad = scan();
+        bad.keyframes[1].color.width = 31;
+        assert!(bad.write(&path).is_err());
+        let mut bad = scan();
+        bad.witnesses[0].world_from_camera.translation.x = f64::INFINITY;
         assert!(bad.write(&path).is_err());
         let mut bad = scan();
         bad.mesh.normals.pop();

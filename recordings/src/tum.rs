@@ -1,5 +1,6 @@
 //! TUM RGB-D folders: import as a stream of events, export from a recording.
 
+use crate::chunk::beside;
 use crate::decode::{PictureHeader, decode_depth_png, encode_depth_png, encode_png};
 use crate::error::{Error, Result};
 use crate::lists::{format_camera, format_seconds, read_camera, read_list};
@@ -161,9 +162,7 @@ pub fn export_tum(recording: &mut RecordingReader, dir: &Path) -> Result<()> {
     if std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(Error::invalid(dir, "the folder exists and is not empty", "remove it, or choose another name"));
     }
-    let mut name = dir.file_name().unwrap_or_default().to_os_string();
-    name.push(".part");
-    let part = dir.with_file_name(name);
+    let part = beside(dir, ".part")?;
     let exported = TumWriter::create(&part).and_then(|mut writer| {
         let outcome = writer.copy(recording);
         writer.finish(recording.sensor())?;
