@@ -272,7 +272,8 @@ impl Light {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{bumpy_mesh, estimate_on, refuses_damage};
+    use crate::testing::{bumpy_mesh, estimate_on, refuses_damage, resealed};
+    use proptest::prelude::*;
 
     fn written(estimate: &Estimate) -> (tempfile::TempDir, std::path::PathBuf) {
         let dir = tempfile::tempdir().unwrap();
@@ -407,6 +408,25 @@ mod tests {
             let (whole, connectivity) = size(&estimate_on(mesh));
             assert!(whole <= 36.0 && whole - connectivity <= 24.0, "{whole} with {connectivity} for connectivity");
             println!("{scene}: {whole:.2} bytes a vertex, {connectivity:.2} of them connectivity");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn nonsense_behind_a_right_checksum_never_panics(at in any::<usize>(), value in any::<u8>()) {
+            static WHOLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+            let whole = WHOLE.get_or_init(|| {
+                let dir = tempfile::tempdir().unwrap();
+                let path = dir.path().join("a.lres");
+                estimate_on(bumpy_mesh(6)).write(&path).unwrap();
+                std::fs::read(path).unwrap()
+            });
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("damaged");
+            std::fs::write(&path, resealed(whole, at % whole.len(), value)).unwrap();
+            if let Ok(read) = Estimate::read(&path) {
+                prop_assert!(check_mesh(&read.mesh).is_ok());
+            }
         }
     }
 }

@@ -381,7 +381,8 @@ fn read_frame(payload: &[u8]) -> std::result::Result<Keyframe, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{keyframe, refuses_damage, scan};
+    use crate::testing::{keyframe, refuses_damage, resealed, scan};
+    use proptest::prelude::*;
 
     #[test]
     fn a_scan_comes_back_to_the_bit() {
@@ -456,5 +457,24 @@ mod tests {
         bad.mesh.normals.pop();
         assert!(bad.write(&path).is_err());
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn nonsense_behind_a_right_checksum_never_panics(at in any::<usize>(), value in any::<u8>()) {
+            static WHOLE: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+            let whole = WHOLE.get_or_init(|| {
+                let dir = tempfile::tempdir().unwrap();
+                let path = dir.path().join("a.lscan");
+                scan().write(&path).unwrap();
+                std::fs::read(path).unwrap()
+            });
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("damaged");
+            std::fs::write(&path, resealed(whole, at % whole.len(), value)).unwrap();
+            if let Ok(read) = Scan::read(&path) {
+                prop_assert!(check_mesh(&read.mesh).is_ok());
+            }
+        }
     }
 }
