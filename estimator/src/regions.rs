@@ -7,8 +7,14 @@ use recordings::types::Mesh;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BinaryHeap, VecDeque};
 
-/// One-sided smoothing of the features before borders are measured: pictures blur a border over a few vertices.
-const BORDER_RINGS: usize = 4;
+/// Steps of one-sided smoothing of the features before borders are measured: pictures blur a border over a few
+/// vertices, so both sides are read off at some distance, at two distances so that gradients can be told from steps.
+const NEAR_STEPS: usize = 3;
+const FAR_STEPS: usize = 9;
+/// Steps in which the merging threshold rises.
+const MERGE_STEPS: usize = 5;
+/// Lightness (weighed as in the features) that shading alone may change across a crease.
+const CREASE_LIGHTNESS: f32 = 4.0;
 /// Cosine between normals below which a border stands on a crease, where shading may jump.
 const CREASE: f32 = 0.9;
 /// A fully concave border counts as this much more of a border.
@@ -16,11 +22,11 @@ const CONCAVE_GAIN: f32 = 0.6;
 /// Concavity (radians) of a border that counts as fully concave.
 const CONCAVE: f32 = 0.3;
 
-/// Takes the label from clusters of fewer than `least` vertices.
-pub fn drop_crumbs(labels: &mut [u32], least: u32) {
+/// Takes the label from clusters of fewer than `least` vertices among those numbered from `first` on.
+pub fn drop_crumbs(labels: &mut [u32], first: u32, least: u32) {
     let mut sizes = vec![0_u32; labels.iter().filter(|&&l| l != NONE).max().map_or(0, |&l| l as usize + 1)];
     labels.iter().filter(|&&l| l != NONE).for_each(|&l| sizes[l as usize] += 1);
-    for l in labels.iter_mut().filter(|l| **l != NONE) {
+    for l in labels.iter_mut().filter(|l| **l != NONE && **l >= first) {
         if sizes[*l as usize] < least {
             *l = NONE;
         }
@@ -75,37 +81,51 @@ pub fn grow(graph: &Graph, distance: &[f32], seen: &[bool], labels: &mut [u32]) 
     }
 }
 
-/// Sums over the edges between two regions.
+/// Sums over the edges between two regions; differences point from the lower to the higher label.
 #[derive(Clone, Copy, Default)]
 struct Border {
     edges: f32,
-    chroma: [f32; 2],
-    flat_edges: f32,
-    lightness: f32,
+    /// Difference of the features (lightness, a, b) near the border, over flat edges and over creases.
+    near: [Vec3; 2],
+    /// The same farther away.
+    far: [Vec3; 2],
+    creases: f32,
     concavity: f32,
 }
 
 impl Border {
     /// Difference across the border in CIELAB units, weighed by its shape.
     fn strength(&self) -> f32 {
-        let chroma = (self.chroma[0] * self.chroma[0] + self.chroma[1] * self.chroma[1]).sqrt() / self.edges;
-        // Lightness tells only where the surface goes on smoothly.
-        let lightness = if self.flat_edges > 0.3 * self.edges { self.lightness.abs() / self.flat_edges } else { 0.0 };
+        let flat = self.edges - self.creases;
+        let chroma = step(self.near[0] + self.near[1], self.far[0] + self.far[1]) / self.edges;
+        let smooth = if flat > 0.0 { (step(self.near[0], self.far[0]) / flat).x.abs() } else { 0.0 };
+        let crease = if self.creases > 0.0 { (self.near[1] / self.creases).x.abs() - CREASE_LIGHTNESS } else { 0.0 };
+        let lightness = (flat * smooth + self.creases * crease.max(0.0)) / self.edges;
         let concave = (self.concavity / self.edges / CONCAVE).min(1.0);
-        chroma.hypot(lightness) * (1.0 + CONCAVE_GAIN * concave)
+        chroma.y.hypot(chroma.z).hypot(lightness) * (1.0 + CONCAVE_GAIN * concave)
     }
     fn add(&mut self, other: &Self, sign: f32) {
         self.edges += other.edges;
-        self.chroma[0] += sign * other.chroma[0];
-        self.chroma[1] += sign * other.chroma[1];
-        self.flat_edges += other.flat_edges;
-        self.lightness += sign * other.lightness;
+        for k in 0..2 {
+            self.near[k] += sign * other.near[k];
+            self.far[k] += sign * other.far[k];
+        }
+        self.creases += other.creases;
         self.concavity += other.concavity;
     }
 }
 
+/// What is left of a difference when the gradients on both sides are continued up to the border.
+fn step(near: Vec3, far: Vec3) -> Vec3 {
+    let extrapolated = 2.0 * near - far;
+    // A gradient explains a step or part of it, it does not make or turn one.
+    let bounded = |e: f32, n: f32| if n >= 0.0 { e.clamp(0.0, n) } else { e.clamp(n, 0.0) };
+    Vec3::from_array(std::array::from_fn(|c| bounded(extrapolated[c], near[c])))
+}
+
 /// Joins neighbouring regions, weakest border first, until every border is stronger than `threshold` (CIELAB) and no
-/// region with a neighbour has fewer than `least` vertices.
+/// region with a neighbour has fewer than `least` vertices. The threshold rises in steps between which borders are
+/// measured anew: strips along a blurred border join one side before the two sides are compared.
 pub fn merge(
     mesh: &Mesh,
     graph: &Graph,
@@ -115,8 +135,24 @@ pub fn merge(
     least: u32,
     labels: &mut [u32],
 ) {
+    for step in 1..=MERGE_STEPS {
+        let share = step as f32 / MERGE_STEPS as f32;
+        merge_below(mesh, graph, features, concavity, threshold * share, least, labels);
+    }
+}
+
+fn merge_below(
+    mesh: &Mesh,
+    graph: &Graph,
+    features: &[Vec3],
+    concavity: &[f32],
+    threshold: f32,
+    least: u32,
+    labels: &mut [u32],
+) {
     let count = labels.iter().filter(|&&l| l != NONE).max().map_or(0, |&l| l as usize + 1);
-    let smooth = one_sided(graph, features, labels);
+    let near = one_sided(graph, features, labels, NEAR_STEPS);
+    let far = one_sided(graph, &near, labels, FAR_STEPS);
     let mut sizes = vec![0_u32; count];
     labels.iter().filter(|&&l| l != NONE).for_each(|&l| sizes[l as usize] += 1);
     // borders[a][b], a < b: signed sums of b − a.
@@ -127,18 +163,11 @@ pub fn merge(
             if a == NONE || b == NONE || a >= b {
                 continue;
             }
-            let d = smooth[j] - smooth[i];
-            let flat = if mesh.normals[i].dot(mesh.normals[j]) > CREASE { 1.0 } else { 0.0 };
-            borders.entry((a, b)).or_default().add(
-                &Border {
-                    edges: 1.0,
-                    chroma: [d.y, d.z],
-                    flat_edges: flat,
-                    lightness: flat * d.x,
-                    concavity: concavity[e],
-                },
-                1.0,
-            );
+            let crease = usize::from(mesh.normals[i].dot(mesh.normals[j]) <= CREASE);
+            let mut edge = Border { edges: 1.0, creases: crease as f32, concavity: concavity[e], ..Border::default() };
+            edge.near[crease] = near[j] - near[i];
+            edge.far[crease] = far[j] - far[i];
+            borders.entry((a, b)).or_default().add(&edge, 1.0);
         }
     }
     let mut parent: Vec<u32> = (0..count as u32).collect();
@@ -176,9 +205,9 @@ pub fn merge(
 }
 
 /// Features averaged over neighbours of the same region.
-fn one_sided(graph: &Graph, features: &[Vec3], labels: &[u32]) -> Vec<Vec3> {
+fn one_sided(graph: &Graph, features: &[Vec3], labels: &[u32], steps: usize) -> Vec<Vec3> {
     let mut smooth = features.to_vec();
-    for _ in 0..BORDER_RINGS {
+    for _ in 0..steps {
         smooth = (0..graph.len())
             .map(|i| {
                 let (mut sum, mut count) = (smooth[i], 1.0);

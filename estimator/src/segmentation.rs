@@ -18,6 +18,10 @@ const LEAST_CONCAVITY: f32 = 0.05;
 const LEAST_COLOR: f32 = 0.25;
 /// The same for relative differences of the shape diameter.
 const LEAST_THICKNESS: f32 = 0.05;
+/// ε of DBSCAN in median k-distances, rising.
+const EPSILONS: [f32; 5] = [2.0, 2.8, 4.0, 5.6, 8.0];
+/// Passes of the edge-sharpening filter.
+const SHARPENINGS: usize = 3;
 /// Vertex without a segment.
 pub const NONE: u32 = u32::MAX;
 
@@ -34,15 +38,18 @@ pub fn segment(
     let graph = Graph::new(mesh);
     let seen: Vec<bool> = lit_weight.iter().zip(lit_color).map(|(&w, c)| w > 0.0 && c.is_finite()).collect();
     let features = median_filtered(&graph, &features(lit_color, &seen), &seen);
+    let mut sharp = sharpened(&graph, &features, &seen);
+    for _ in 1..SHARPENINGS {
+        sharp = sharpened(&graph, &sharp, &seen);
+    }
     let thickness = if config.segment_thickness > 0.0 {
         thickness::shape_diameter(mesh, &graph, scene, config.seed)
     } else {
         vec![None; mesh.positions.len()]
     };
-    let edges = Edges::new(mesh, &graph, &features, &thickness, &seen, config);
-    let mut labels = dbscan(&graph, &edges, &seen, config.segment_min_points as usize);
+    let edges = Edges::new(mesh, &graph, &sharp, &thickness, &seen, config);
     let least = (config.segment_min_share * mesh.positions.len() as f64).ceil().max(8.0) as u32;
-    regions::drop_crumbs(&mut labels, least);
+    let mut labels = dbscan(&graph, &edges, &seen, config.segment_min_points as usize, least);
     regions::grow(&graph, &edges.distance, &seen, &mut labels);
     regions::merge(mesh, &graph, &features, &edges.concavity, config.segment_merge as f32, least, &mut labels);
     regions::spread(&graph, &mut labels);
@@ -108,6 +115,32 @@ fn median_filtered(graph: &Graph, features: &[Vec3], seen: &[bool]) -> Vec<Vec3>
                 let middle = row.len() / 2;
                 row.select_nth_unstable_by(middle, |a, b| a[c].total_cmp(&b[c])).1[c]
             }))
+        })
+        .collect()
+}
+
+/// Kuwahara's filter: every vertex takes the mean of the most uniform neighbourhood it belongs to. Takes noise and makes
+/// steps of blurred borders.
+fn sharpened(graph: &Graph, features: &[Vec3], seen: &[bool]) -> Vec<Vec3> {
+    let around: Vec<(Vec3, f32)> = (0..graph.len())
+        .into_par_iter()
+        .map(|i| {
+            let (mut sum, mut squares, mut count) = (features[i], features[i].length_squared(), 1.0);
+            for &j in graph.neighbours(i).iter().filter(|&&j| seen[j as usize]) {
+                sum += features[j as usize];
+                squares += features[j as usize].length_squared();
+                count += 1.0;
+            }
+            let mean = sum / count;
+            (mean, if count > 2.0 { squares / count - mean.length_squared() } else { f32::INFINITY })
+        })
+        .collect();
+    (0..graph.len())
+        .into_par_iter()
+        .map(|i| {
+            let own = if seen[i] { around[i] } else { (features[i], f32::NEG_INFINITY) };
+            let ring = graph.neighbours(i).iter().filter(|&&j| seen[j as usize]).map(|&j| around[j as usize]);
+            ring.fold(own, |best, a| if a.1 < best.1 { a } else { best }).0
         })
         .collect()
 }
@@ -187,57 +220,54 @@ fn concavity(mesh: &Mesh, a: usize, b: usize) -> f32 {
     libm::asinf(d.clamp(0.0, 1.0))
 }
 
-/// Clusters of core points and the points within ε of them; [`NONE`] for noise.
-fn dbscan(graph: &Graph, edges: &Edges, seen: &[bool], min_points: usize) -> Vec<u32> {
-    let row = |i: usize| graph.offsets[i] as usize..graph.offsets[i + 1] as usize;
+/// DBSCAN with ε rising from quiet to noisy surfaces: each ε clusters what the smaller ones left. [`NONE`] for noise and
+/// for clusters of fewer than `least` vertices.
+fn dbscan(graph: &Graph, edges: &Edges, seen: &[bool], min_points: usize, least: u32) -> Vec<u32> {
     let k_distance: Vec<f32> = (0..graph.len())
         .into_par_iter()
         .map(|i| {
-            let mut d = edges.distance[row(i)].to_vec();
+            let mut d = edges.distance[graph.offsets[i] as usize..graph.offsets[i + 1] as usize].to_vec();
             d.sort_unstable_by(f32::total_cmp);
             d.get(min_points.min(d.len()).saturating_sub(1)).copied().unwrap_or(f32::INFINITY)
         })
         .collect();
-    let epsilon = knee(&k_distance);
-    let core = |i: usize| seen[i] && k_distance[i] <= epsilon;
+    let typical = typical(&k_distance);
     let mut labels = vec![NONE; graph.len()];
     let mut next = 0;
     let mut stack = Vec::new();
-    for start in 0..graph.len() {
-        if labels[start] != NONE || !core(start) {
-            continue;
-        }
-        labels[start] = next;
-        stack.push(start);
-        while let Some(i) = stack.pop() {
-            for (e, j) in graph.edges(i) {
-                if edges.distance[e] <= epsilon && labels[j] == NONE {
-                    labels[j] = next;
-                    if core(j) {
-                        stack.push(j);
+    for factor in EPSILONS {
+        let epsilon = factor * typical;
+        let core = |i: usize| seen[i] && k_distance[i] <= epsilon;
+        let first = next;
+        for start in 0..graph.len() {
+            if labels[start] != NONE || !core(start) {
+                continue;
+            }
+            labels[start] = next;
+            stack.push(start);
+            while let Some(i) = stack.pop() {
+                for (e, j) in graph.edges(i) {
+                    if edges.distance[e] <= epsilon && labels[j] == NONE {
+                        labels[j] = next;
+                        if core(j) {
+                            stack.push(j);
+                        }
                     }
                 }
             }
+            next += 1;
         }
-        next += 1;
+        regions::drop_crumbs(&mut labels, first, least);
     }
     labels
 }
 
-/// ε: where the sorted k-distances bend upwards most (farthest below the chord over their upper half).
-fn knee(k_distance: &[f32]) -> f32 {
-    let mut sorted: Vec<f32> = k_distance.iter().copied().filter(|d| d.is_finite()).collect();
-    if sorted.is_empty() {
+/// Median of the finite values.
+fn typical(k_distance: &[f32]) -> f32 {
+    let mut finite: Vec<f32> = k_distance.iter().copied().filter(|d| d.is_finite()).collect();
+    if finite.is_empty() {
         return 0.0;
     }
-    sorted.sort_unstable_by(f32::total_cmp);
-    let median = sorted[sorted.len() / 2];
-    let (first, last) = (sorted.len() / 2, sorted.len() - 1 - sorted.len() / 200);
-    if last <= first {
-        return sorted[sorted.len() - 1];
-    }
-    let rise = sorted[last] - sorted[first];
-    let below = |i: usize| (i - first) as f32 / (last - first) as f32 * rise - (sorted[i] - sorted[first]);
-    let bend = (first..=last).fold(first, |best, i| if below(i) > below(best) { i } else { best });
-    sorted[bend].clamp(2.0 * median, 8.0 * median).max(f32::MIN_POSITIVE)
+    let middle = finite.len() / 2;
+    finite.select_nth_unstable_by(middle, f32::total_cmp).1.max(f32::MIN_POSITIVE)
 }
