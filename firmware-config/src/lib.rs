@@ -94,6 +94,25 @@ impl Config {
         text
     }
 
+    /// The same with a comment above each setting: what it does, unit, range, default, symbol in the paper.
+    #[must_use]
+    pub fn to_commented_toml(&self) -> String {
+        let mut text = String::new();
+        let mut section = String::new();
+        for s in self.settings() {
+            let (head, field) = s.key.split_once('.').unwrap_or(("", &s.key));
+            if head != section {
+                text.push_str(&format!("{}[{head}]\n", if text.is_empty() { "" } else { "\n" }));
+                head.clone_into(&mut section);
+            }
+            let unit = if s.unit.is_empty() { String::new() } else { format!("unit {} · ", s.unit) };
+            let symbol = if s.symbol.is_empty() { String::new() } else { format!(" · {}", s.symbol) };
+            text.push_str(&format!("# {}\n# {unit}range {} · default {}{symbol}\n", s.doc, s.range, s.default));
+            text.push_str(&format!("{field} = {}\n", s.value));
+        }
+        text
+    }
+
     fn unknown(&self, key: &str) -> ConfigError {
         let field = key.rsplit('.').next().unwrap_or(key);
         let hint = self
@@ -131,7 +150,8 @@ mod tests {
         let mut config = Config::default();
         config.set("fusion.voxel_size_m=0.01").unwrap();
         config.set("estimator.transfer=shade").unwrap();
-        assert_eq!(Config::from_toml(&config.to_toml()), Ok(config));
+        assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
+        assert_eq!(Config::from_toml(&config.to_commented_toml()), Ok(config));
     }
 
     #[test]

@@ -1,0 +1,144 @@
+//! The estimator as a child process: this executable again, so that an estimator that dies or runs out of memory never
+//! takes the capture with it.
+
+use crate::cli::Effort;
+use crate::failure::Failure;
+use crate::report::{Reporter, Step};
+use crate::stop::Stop;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+/// What `lumiscan --json estimate` prints on stdout.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// The result file.
+    pub result: String,
+    /// Vertices of the result.
+    pub vertices: usize,
+    /// Seconds from the process's start to the result on disk.
+    pub seconds: f64,
+    /// Seconds of each stage, in the order they ran.
+    pub stages: Vec<(String, f64)>,
+    /// Peak resident memory.
+    pub memory_peak_bytes: Option<u64>,
+}
+
+/// How the estimator ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its account, if it came to an end by itself with a result on disk.
+    pub summary: Option<Summary>,
+    /// Why it ended otherwise than well.
+    pub failure: Option<Failure>,
+}
+
+/// How often the child is looked at.
+const POLL: Duration = Duration::from_millis(20);
+/// Last lines of its stderr that are kept for the message.
+const KEPT_LINES: usize = 4;
+
+/// Estimates `scan` into `result`, passing progress on.
+///
+/// # Errors
+/// The child could not be started, or a signal came (the child is ended then). What becomes of the child itself is told
+/// in [`Ended`].
+pub fn estimate(scan: &Path, result: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<Ended, Failure> {
+    let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
+    let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
+    command.args(["--json", "estimate"]).arg(scan).arg("-o").arg(result);
+    command.arg("--budget").arg(effort.budget.to_string());
+    if let Some(n) = effort.rounds {
+        command.arg("--rounds").arg(n.to_string());
+    }
+    if let Some(n) = effort.threads {
+        command.arg("--threads").arg(n.to_string());
+    }
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(cannot)?;
+    let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {
+        return Err(Failure::Internal("the estimator's output could not be read".into()));
+    };
+    std::thread::scope(|scope| {
+        let relay = scope.spawn(|| relay(BufReader::new(stderr), reporter));
+        let answer = scope.spawn(|| {
+            let mut text = String::new();
+            BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
+        });
+        let status = wait(&mut child, stop);
+        let last_lines = relay.join().unwrap_or_default();
+        let answer = answer.join().unwrap_or_default();
+        let status = status?;
+        let summary = serde_json::from_str(&answer).ok();
+        let failure = match status.code() {
+            Some(0) if summary.is_some() => None,
+            _ => Some(failure(status, &last_lines)),
+        };
+        Ok(Ended { summary, failure })
+    })
+}
+
+/// Waits for the child's end, and ends it if a signal came.
+fn wait(child: &mut Child, stop: &Stop) -> Result<ExitStatus, Failure> {
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return Ok(status),
+            Ok(None) => {}
+            Err(e) => return Err(Failure::Internal(format!("waiting for the estimator: {e}"))),
+        }
+        if let Err(stopped) = stop.check() {
+            let _ = child.kill();
+            let _ = child.wait();
+            return Err(stopped);
+        }
+        std::thread::sleep(POLL);
+    }
+}
+
+/// Shows the child's progress as our own and passes its log lines on; returns its last words.
+fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
+    #[derive(Deserialize)]
+    struct LogLine {
+        level: String,
+        message: String,
+    }
+    let mut last = VecDeque::new();
+    for line in lines.lines().map_while(Result::ok) {
+        if let Ok(step) = serde_json::from_str::<Step>(&line) {
+            reporter.step(&step);
+            continue;
+        }
+        let (level, message) = match serde_json::from_str::<LogLine>(&line) {
+            Ok(l) => (l.level, l.message),
+            Err(_) => ("WARN".into(), line),
+        };
+        match level.as_str() {
+            // Told by the failure that follows.
+            "ERROR" => {}
+            "WARN" => tracing::warn!("estimator: {message}"),
+            "INFO" => tracing::info!("estimator: {message}"),
+            _ => tracing::debug!("estimator: {message}"),
+        }
+        if level == "ERROR" || level == "WARN" {
+            last.push_back(message);
+            if last.len() > KEPT_LINES {
+                last.pop_front();
+            }
+        }
+    }
+    last
+}
+
+fn failure(status: ExitStatus, last_lines: &VecDeque<String>) -> Failure {
+    let words = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
+    match status.code() {
+        Some(2) => Failure::Usage(words),
+        Some(3) => Failure::Input(words),
+        Some(4) => Failure::Unusable(words),
+        Some(5) => Failure::Abandoned(words),
+        _ => Failure::Internal(format!("the estimator ended early ({status}) {words}; the scan itself is complete")),
+    }
+}

@@ -1,0 +1,240 @@
+//! What can be said on the command line.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Light and materials from a casual scan with a Kinect.
+#[derive(Debug, Parser)]
+#[command(
+    name = "lumiscan",
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_long_help = "\
+Examples:
+  lumiscan replay recordings/data/tabletop.lrec       scan, estimate and publish into ./lumiscan-device/scans/
+  lumiscan inspect lumiscan-device/scans/*/result.lres
+  lumiscan export lumiscan-device/scans/<id>/result.lres --to folder -o /tmp/result
+
+Results go to stdout, progress and log lines to stderr.
+
+Exit codes:
+  0  done (a planned cut that the result records is done, too)
+  1  internal error
+  2  usage or configuration
+  3  no device, or unreadable input
+  4  the scan is unusable: tracking never held
+  5  a stage had to be abandoned for the budget; a partial result was written"
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// More log lines.
+    #[arg(short, long, global = true)]
+    pub verbose: bool,
+    /// JSON: progress and log lines on stderr, results on stdout.
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Replay a recording: fuse, estimate light and materials, publish the scan in the device folder.
+    Replay(Replay),
+    /// Estimate light and materials from a scan file.
+    Estimate(Estimate),
+    /// Turn foreign data into a recording or a scan.
+    Import(Import),
+    /// Write a result, or a recording, in a form that other programs read.
+    Export(Export),
+    /// Print every setting with unit, range and default, as a configuration file.
+    Config(Config),
+    /// Say what a recording, a scan or a result holds.
+    Inspect(Inspect),
+}
+
+/// Where settings come from.
+#[derive(Debug, Args, Default)]
+pub struct Settings {
+    /// Settings file (TOML, as `lumiscan config` prints it).
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// One setting, as section.key=value; repeatable, wins over the file.
+    #[arg(long, value_name = "KEY=VALUE")]
+    pub set: Vec<String>,
+}
+
+/// What a run of the estimator may spend.
+#[derive(Debug, Args)]
+pub struct Effort {
+    /// Seconds from the estimator's start to the result on disk.
+    #[arg(long, value_name = "S", default_value = "120", value_parser = seconds)]
+    pub budget: f64,
+    /// Fixed number of ray rounds: replaces the clock, and the result is the same, byte for byte, on every run.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub rounds: Option<u32>,
+    /// Worker threads [default: one a processor].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// `lumiscan replay`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png and trajectory.txt; the last
+line on stdout is that folder's path. Nothing is visible there before all of it is complete.
+
+Examples:
+  lumiscan replay recordings/data/tabletop.lrec
+  lumiscan replay ~/rgbd_dataset_freiburg1_xyz --device /var/lib/lumiscan --budget 60
+  lumiscan replay scan.lrec --no-estimate --set fusion.voxel_size_m=0.01")]
+pub struct Replay {
+    /// A recording (.lrec) or a TUM RGB-D folder.
+    pub source: PathBuf,
+    /// Device folder, made if missing.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// Stop after scan.lscan, manifest.json and trajectory.txt.
+    #[arg(long)]
+    pub no_estimate: bool,
+    /// Effort of the estimator.
+    #[command(flatten)]
+    pub effort: Effort,
+    /// Play the source N times, forward and backward in turns, with continuing time stamps.
+    #[arg(long = "loop", value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
+    pub loops: u32,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
+}
+
+/// `lumiscan estimate`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Uses the settings stored in the scan. The last line on stdout is the result's path.
+
+Examples:
+  lumiscan estimate ball.lscan
+  lumiscan estimate ball.lscan -o draft.lres --budget 10
+  lumiscan estimate ball.lscan --rounds 4 --threads 1")]
+pub struct Estimate {
+    /// A scan (.lscan).
+    pub scan: PathBuf,
+    /// The result [default: beside the scan; result.lres for scan.lscan, otherwise of the same stem].
+    #[arg(short, long, value_name = "RESULT")]
+    pub output: Option<PathBuf>,
+    /// Effort.
+    #[command(flatten)]
+    pub effort: Effort,
+}
+
+/// What `lumiscan import` reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ImportFrom {
+    /// A TUM RGB-D folder (rgb.txt, depth.txt, camera.txt), to a recording.
+    Tum,
+    /// A mesh and posed photos (mesh.ply, transforms.json), to a scan.
+    Photos,
+}
+
+/// `lumiscan import`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  lumiscan import tum ~/rgbd_dataset_freiburg1_xyz -o desk.lrec
+  lumiscan import photos ~/ball -o ball.lscan
+  lumiscan import photos ~/ball --mesh ~/ball/fine.ply -o ball.lscan")]
+pub struct Import {
+    /// Form of the data.
+    pub from: ImportFrom,
+    /// Their folder.
+    pub dir: PathBuf,
+    /// The recording (.lrec) or scan (.lscan) to write.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Mesh of the photos [default: DIR/mesh.ply].
+    #[arg(long, value_name = "M")]
+    pub mesh: Option<PathBuf>,
+}
+
+/// What `lumiscan export` writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ExportTo {
+    /// Of a result: lighting_sh.json, vertices.ply, exposures.json, poses.json and materials.json in a fresh folder.
+    Folder,
+    /// Of a result: the mesh with lit colour, albedo and segment of every vertex.
+    Ply,
+    /// Of a result: the light as a Radiance panorama.
+    Hdr,
+    /// Of a recording: a TUM RGB-D folder, frame for frame.
+    Tum,
+}
+
+/// `lumiscan export`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  lumiscan export result.lres --to folder -o /tmp/result
+  lumiscan export result.lres --to hdr -o light.hdr
+  lumiscan export tabletop.lrec --to tum -o /tmp/tabletop")]
+pub struct Export {
+    /// A result (.lres), or for `--to tum` a recording (.lrec).
+    pub file: PathBuf,
+    /// Form to write.
+    #[arg(long, value_name = "FORM")]
+    pub to: ExportTo,
+    /// File or folder to write; a folder must be new or empty.
+    #[arg(short, long, value_name = "PATH")]
+    pub output: PathBuf,
+}
+
+/// `lumiscan config`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  lumiscan config > lumiscan.toml                     a settings file to edit
+  lumiscan config --set estimator.transfer=shade      with a value changed
+  lumiscan --json config                              for programs")]
+pub struct Config {
+    /// Settings to print instead of the defaults.
+    #[command(flatten)]
+    pub settings: Settings,
+}
+
+/// `lumiscan inspect`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Examples:
+  lumiscan inspect tabletop.lrec
+  lumiscan inspect result.lres --json")]
+pub struct Inspect {
+    /// A recording, a scan or a result; what it is, is read from its contents.
+    pub file: PathBuf,
+}
+
+/// A positive, finite number of seconds.
+fn seconds(text: &str) -> Result<f64, String> {
+    let s: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
+    if s > 0.0 && s <= 1e6 { Ok(s) } else { Err("must be more than 0 and at most 1000000 seconds".into()) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn definitions_are_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn budgets_are_positive_and_finite() {
+        for bad in ["0", "-1", "nan", "inf", "1e9", "soon", ""] {
+            assert!(seconds(bad).is_err(), "{bad}");
+        }
+        assert_eq!(seconds("0.5"), Ok(0.5));
+    }
+}

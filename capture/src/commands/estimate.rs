@@ -1,0 +1,65 @@
+//! `lumiscan estimate`: a scan to a result.
+
+use super::{check_parent, print, print_json, use_threads};
+use crate::child::Summary;
+use crate::cli;
+use crate::failure::Failure;
+use crate::memory;
+use crate::report::Reporter;
+use estimator::{EstimateError, Options};
+use firmware_config::Config;
+use recordings::scan::Scan;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Runs the command.
+pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), Failure> {
+    let started = Instant::now();
+    let budget = Duration::from_secs_f64(args.effort.budget);
+    let output = args.output.clone().unwrap_or_else(|| beside(&args.scan));
+    check_parent(&output)?;
+    use_threads(args.effort.threads)?;
+    if args.effort.rounds.is_none() {
+        reporter.set_deadline(started + budget);
+    }
+
+    let shown = args.scan.display();
+    let scan = Scan::read(&args.scan)?;
+    // Written by the program that made the scan; a key that this version does not know is no fault of the user's.
+    let config = Config::from_toml(&scan.config)
+        .map_err(|e| Failure::Input(format!("{shown}: its settings: {e}; scan again with this version")))?;
+    let options = Options { budget: budget.saturating_sub(started.elapsed()), rounds: args.effort.rounds };
+    let result = estimator::estimate(&scan, &config.estimator, &options, reporter).map_err(|e| match e {
+        EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
+    })?;
+    result.write(&output).map_err(|e| Failure::Internal(e.to_string()))?;
+    reporter.clear();
+
+    for warning in &result.warnings {
+        tracing::warn!("{warning}");
+    }
+    for cut in &result.cuts {
+        tracing::warn!("cut for the budget: {cut}");
+    }
+    if json {
+        print_json(&Summary {
+            result: output.display().to_string(),
+            vertices: result.mesh.positions.len(),
+            seconds: started.elapsed().as_secs_f64(),
+            stages: reporter.stages(),
+            memory_peak_bytes: memory::peak_bytes(),
+        })?;
+    } else {
+        print(&output.display().to_string())?;
+    }
+    Ok(())
+}
+
+/// `result.lres` for `scan.lscan`, as in the device folder; otherwise of the same stem.
+fn beside(scan: &Path) -> PathBuf {
+    if scan.file_name().is_some_and(|n| n == "scan.lscan") {
+        scan.with_file_name("result.lres")
+    } else {
+        scan.with_extension("lres")
+    }
+}

@@ -1,0 +1,72 @@
+//! `lumiscan export`: results and recordings in forms that other programs read.
+
+use super::{check_parent, print};
+use crate::cli::{self, ExportTo};
+use crate::failure::Failure;
+use recordings::recording::RecordingReader;
+use recordings::result::Estimate;
+use recordings::tum::export_tum;
+use std::path::{Path, PathBuf};
+
+/// Runs the command.
+pub fn run(args: &cli::Export) -> Result<(), Failure> {
+    let output = &args.output;
+    let written = |e: std::io::Error| Failure::writing(output, e);
+    match args.to {
+        ExportTo::Tum => {
+            let mut recording = RecordingReader::open(&args.file)?;
+            into_fresh_folder(output, |dir| Ok(export_tum(&mut recording, dir)?))?;
+        }
+        ExportTo::Folder => {
+            let result = Estimate::read(&args.file)?;
+            into_fresh_folder(output, |dir| estimator::export::folder::write(&result, dir).map_err(written))?;
+        }
+        ExportTo::Ply => {
+            check_parent(output)?;
+            estimator::export::ply::write(&Estimate::read(&args.file)?, output).map_err(written)?;
+        }
+        ExportTo::Hdr => {
+            check_parent(output)?;
+            estimator::export::hdr::write(&Estimate::read(&args.file)?.light, output).map_err(written)?;
+        }
+    }
+    print(&output.display().to_string())
+}
+
+/// Fills a folder beside `dir` and renames it into place, so that `dir` is complete or not there at all.
+fn into_fresh_folder(dir: &Path, fill: impl FnOnce(&Path) -> Result<(), Failure>) -> Result<(), Failure> {
+    let shown = dir.display();
+    match std::fs::read_dir(dir) {
+        Ok(mut entries) if entries.next().is_some() => {
+            return Err(Failure::Usage(format!("{shown} is not empty; name a new folder, or empty this one")));
+        }
+        Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => {
+            return Err(Failure::Usage(format!("{shown} is a file; name a new folder")));
+        }
+        _ => {}
+    }
+    let Some(name) = dir.file_name() else {
+        return Err(Failure::Usage(format!("{shown} names no folder; name a new one")));
+    };
+    let mut staged = name.to_os_string();
+    staged.push(format!(".{}.part", std::process::id()));
+    let staging = StagingFolder::create(dir.with_file_name(staged))?;
+    fill(&staging.0)?;
+    std::fs::rename(&staging.0, dir).map_err(|e| Failure::writing(dir, e))
+}
+
+/// A folder that goes away again unless it is renamed.
+struct StagingFolder(PathBuf);
+
+impl StagingFolder {
+    fn create(path: PathBuf) -> Result<Self, Failure> {
+        std::fs::create_dir_all(&path).map_err(|e| Failure::writing(&path, e))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for StagingFolder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}

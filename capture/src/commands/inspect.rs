@@ -1,0 +1,152 @@
+//! `lumiscan inspect`: what a file holds.
+
+use super::{print, print_json};
+use crate::cli;
+use crate::failure::Failure;
+use recordings::FileKind;
+use recordings::recording::{Event, RecordingKind, RecordingReader};
+use recordings::result::Estimate;
+use recordings::scan::{Scan, ScanSource};
+use recordings::types::TimestampNs;
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Runs the command.
+pub fn run(args: &cli::Inspect, as_json: bool) -> Result<(), Failure> {
+    let summary = match recordings::kind_of(&args.file)? {
+        FileKind::Recording => recording(&args.file)?,
+        FileKind::Scan => scan(&Scan::read(&args.file)?),
+        FileKind::Result => result(&Estimate::read(&args.file)?),
+    };
+    if as_json { print_json(&summary) } else { print(lines(&summary, 0).trim_end()) }
+}
+
+#[derive(Default)]
+struct Counted {
+    frames: u64,
+    incomplete: u64,
+    missing_packets: u64,
+}
+
+impl Counted {
+    fn add(&mut self, missing_packets: u32) {
+        self.frames += 1;
+        self.incomplete += u64::from(missing_packets > 0);
+        self.missing_packets += u64::from(missing_packets);
+    }
+    fn json(&self) -> Value {
+        json!({ "frames": self.frames, "incomplete": self.incomplete, "missing_packets": self.missing_packets })
+    }
+}
+
+fn recording(path: &Path) -> Result<Value, Failure> {
+    let mut reader = RecordingReader::open(path)?;
+    let (mut depth, mut color) = (Counted::default(), Counted::default());
+    let (mut accelerometer, mut packets) = (0u64, 0u64);
+    let mut span: Option<(TimestampNs, TimestampNs)> = None;
+    while let Some(event) = reader.next_event()? {
+        let time = match &event {
+            Event::Depth(d) => {
+                depth.add(d.missing_packets);
+                d.timestamp_ns
+            }
+            Event::Color(c) => {
+                color.add(c.missing_packets);
+                c.timestamp_ns
+            }
+            Event::Accelerometer(a) => {
+                accelerometer += 1;
+                a.timestamp_ns
+            }
+            Event::Packet(p) => {
+                packets += 1;
+                p.timestamp_ns
+            }
+        };
+        span = Some(span.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
+    }
+    let sensor = reader.sensor();
+    Ok(json!({
+        "kind": "recording",
+        "content": match reader.kind() { RecordingKind::Frames => "frames", RecordingKind::Packets => "packets" },
+        "duration_s": span.map_or(0.0, |(a, b)| b.saturating_sub(a) as f64 * 1e-9),
+        "depth": depth.json(),
+        "color": color.json(),
+        "accelerometer": accelerometer,
+        "packets": packets,
+        "sensor": sensor,
+    }))
+}
+
+fn scan(s: &Scan) -> Value {
+    json!({
+        "kind": "scan",
+        "name": s.name,
+        "source": match s.source { ScanSource::Fusion => "fusion", ScanSource::Photos => "photos" },
+        "vertices": s.mesh.positions.len(),
+        "triangles": s.mesh.triangles.len(),
+        "keyframes": s.keyframes.len(),
+        "witnesses": s.witnesses.len(),
+        "stats": s.stats,
+        "sensor": s.sensor,
+    })
+}
+
+fn result(r: &Estimate) -> Value {
+    json!({
+        "kind": "result",
+        "name": r.name,
+        "vertices": r.mesh.positions.len(),
+        "triangles": r.mesh.triangles.len(),
+        "segments": r.segments.len(),
+        "bands": r.light.bands(),
+        "transfer": r.transfer,
+        "decisions": r.decisions,
+        "cuts": r.cuts,
+        "warnings": r.warnings,
+        "keyframes": r.keyframes.len(),
+        "witnesses": r.witnesses,
+        "albedo_scale_rule": r.albedo_scale_rule,
+        "light": r.light.coefficients,
+        "light_standard_deviation": r.light.standard_deviation,
+        "materials": r.segments,
+    })
+}
+
+/// The same for people: one line a field, nested ones indented, long lists only counted.
+fn lines(value: &Value, depth: usize) -> String {
+    const LONGEST: usize = 12;
+    let indent = "  ".repeat(depth);
+    let Value::Object(fields) = value else { return format!("{indent}{}\n", leaf(value)) };
+    let width = fields.keys().map(String::len).max().unwrap_or(0);
+    let mut text = String::new();
+    for (key, value) in fields {
+        match value {
+            Value::Object(inner) if inner.len() > 3 => {
+                text += &format!("{indent}{key}\n{}", lines(value, depth + 1));
+            }
+            Value::Array(items) if items.iter().any(Value::is_object) && items.len() <= LONGEST => {
+                text += &format!("{indent}{key}\n");
+                for item in items {
+                    text += &format!("{indent}  {}\n", leaf(item));
+                }
+            }
+            Value::Array(items) if items.len() > LONGEST => {
+                text += &format!("{indent}{key:width$}  {} entries (see --json)\n", items.len());
+            }
+            _ => text += &format!("{indent}{key:width$}  {}\n", leaf(value)),
+        }
+    }
+    text
+}
+
+fn leaf(value: &Value) -> String {
+    match value {
+        Value::String(s) => s.clone(),
+        Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
+        Value::Object(fields) => fields.iter().map(|(k, v)| format!("{k} {}", leaf(v))).collect::<Vec<_>>().join(" · "),
+        Value::Array(items) if items.is_empty() => "none".into(),
+        Value::Array(items) => items.iter().map(leaf).collect::<Vec<_>>().join(", "),
+        other => other.to_string(),
+    }
+}

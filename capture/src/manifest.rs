@@ -1,0 +1,127 @@
+//! `manifest.json`: what is in a published scan, and what it cost to make it. The only file with clock readings.
+
+use crate::failure::Failure;
+use recordings::result::Decision;
+use recordings::scan::CaptureStats;
+use serde::Serialize;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// Version of the manifest's layout.
+const FORMAT: u32 = 1;
+
+/// The manifest; fields are written in this order.
+#[derive(Debug, Serialize)]
+pub struct Manifest {
+    /// Version of this layout.
+    pub format: u32,
+    /// Name of the scan.
+    pub name: String,
+    /// When it was published (UTC).
+    pub published: String,
+    /// Version of the program.
+    pub lumiscan: &'static str,
+    /// Every other file of the folder.
+    pub files: Vec<FileEntry>,
+    /// The capture process.
+    pub capture: CaptureEntry,
+    /// The estimator process.
+    pub estimator: EstimatorEntry,
+}
+
+/// A file of the scan.
+#[derive(Debug, Serialize)]
+pub struct FileEntry {
+    /// Its name in the folder.
+    pub name: String,
+    /// Its size.
+    pub bytes: u64,
+    /// CRC-32 (IEEE) of its contents, eight hexadecimal digits.
+    pub crc32: String,
+}
+
+/// What capture did.
+#[derive(Debug, Serialize)]
+pub struct CaptureEntry {
+    /// Where the frames came from.
+    pub source: String,
+    /// Vertices of the scan's mesh.
+    pub vertices: usize,
+    /// Keyframes kept.
+    pub keyframes: usize,
+    /// Counters.
+    pub stats: CaptureStats,
+    /// Seconds of wall time by stage.
+    pub seconds: Vec<(String, f64)>,
+    /// Peak resident memory.
+    pub memory_peak_bytes: Option<u64>,
+}
+
+/// What the estimator did.
+#[derive(Debug, Default, Serialize)]
+pub struct EstimatorEntry {
+    /// "done", "skipped", "partial" or "failed".
+    pub outcome: &'static str,
+    /// What went wrong.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub problem: Option<String>,
+    /// Vertices of the result's mesh.
+    pub vertices: usize,
+    /// What was decided, and why.
+    pub decisions: Vec<Decision>,
+    /// What was cut for the budget.
+    pub cuts: Vec<String>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// Seconds of wall time by stage.
+    pub seconds: Vec<(String, f64)>,
+    /// Peak resident memory.
+    pub memory_peak_bytes: Option<u64>,
+}
+
+impl Manifest {
+    /// Lists the files of `folder`, sorted by name, with their checksums.
+    ///
+    /// # Errors
+    /// A file cannot be read back.
+    pub fn new(folder: &Path, name: String, published: String, capture: CaptureEntry, estimator: EstimatorEntry) -> Result<Self, Failure> {
+        let unreadable = |e: std::io::Error| Failure::writing(folder, e);
+        let mut names: Vec<_> = std::fs::read_dir(folder)
+            .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
+            .map_err(unreadable)?;
+        names.sort();
+        let files = names
+            .iter()
+            .map(|n| {
+                let (bytes, crc32) = checksum(&folder.join(n))?;
+                Ok(FileEntry { name: n.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") })
+            })
+            .collect::<std::io::Result<_>>()
+            .map_err(unreadable)?;
+        Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
+    }
+
+    /// As text.
+    ///
+    /// # Errors
+    /// Never in practice.
+    pub fn to_json(&self) -> Result<String, Failure> {
+        serde_json::to_string_pretty(self).map(|t| t + "\n").map_err(|e| Failure::Internal(e.to_string()))
+    }
+}
+
+fn checksum(path: &Path) -> std::io::Result<(u64, u32)> {
+    let mut file = File::open(path)?;
+    let mut hasher = crc32fast::Hasher::new();
+    let mut buffer = vec![0u8; 1 << 16];
+    let mut bytes = 0;
+    loop {
+        let n = file.read(&mut buffer)?;
+        if n == 0 {
+            return Ok((bytes, hasher.finalize()));
+        }
+        hasher.update(&buffer[..n]);
+        bytes += n as u64;
+    }
+}

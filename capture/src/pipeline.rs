@@ -1,0 +1,250 @@
+//! From a source to a scan file: one thread a stage, bounded queues between them.
+//!
+//!     read ──2──▶ decode ──2──▶ fuse (this thread) ──4──▶ disk
+//!
+//! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine.
+
+use crate::failure::Failure;
+use crate::report::{Reporter, Step};
+use crate::source::{Pairs, RawPair};
+use crate::stop::Stop;
+use crossbeam_channel::{Receiver, Sender, bounded};
+use firmware_config::Config;
+use fusion::{Fusion, FusionError, FusionOutput, Tracking};
+use recordings::scan::{CaptureStats, FrameId, ScanTail, ScanWriter};
+use recordings::types::{ColorFrame, Pose, RgbdFrame, Sensor, TimestampNs};
+use std::path::{Path, PathBuf};
+use std::thread::{Scope, ScopedJoinHandle};
+use std::time::{Duration, Instant};
+
+/// Frames waiting between two stages.
+const QUEUED_FRAMES: usize = 2;
+/// Keyframes waiting for the disk.
+const QUEUED_KEYFRAMES: usize = 4;
+
+/// What a capture amounts to, beside the scan file.
+#[derive(Debug)]
+pub struct Captured {
+    /// Camera-to-world poses of the tracked frames with their colour frames' time stamps.
+    pub trajectory: Vec<(TimestampNs, Pose)>,
+    /// Counters.
+    pub stats: CaptureStats,
+    /// Vertices of the mesh.
+    pub vertices: usize,
+    /// Triangles of the mesh.
+    pub triangles: usize,
+    /// Keyframes kept.
+    pub keyframes: usize,
+    /// Time spent tracking and integrating.
+    pub fusion: Duration,
+    /// Time spent on the mesh and the choice of keyframes.
+    pub extraction: Duration,
+    /// Time spent writing the scan after its last frame.
+    pub writing: Duration,
+}
+
+/// What the disk thread is told.
+enum ToDisk {
+    Frame(FrameId, ColorFrame),
+    Finish(Box<ScanTail>),
+}
+
+/// Plays `pairs` into a scan file at `scan_path`.
+///
+/// # Errors
+/// The source is damaged, the disk full, tracking never held, or a signal came.
+pub fn run(
+    pairs: Pairs,
+    name: &str,
+    source_path: &Path,
+    scan_path: &Path,
+    config: &Config,
+    stop: &Stop,
+    reporter: &Reporter,
+) -> Result<Captured, Failure> {
+    let sensor = pairs.sensor(&config.capture);
+    let bad_input = |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
+    let fusion = Fusion::new(&sensor, &config.fusion).map_err(bad_input)?;
+    let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
+
+    let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);
+    let (frame_out, frame_in) = bounded::<RgbdFrame>(QUEUED_FRAMES);
+    let (disk_out, disk_in) = bounded::<ToDisk>(QUEUED_KEYFRAMES);
+    std::thread::scope(|scope| {
+        let reader = start(scope, "read", move || read(pairs, &raw_out));
+        let path: PathBuf = source_path.into();
+        let decoder = start(scope, "decode", move || decode(&raw_in, &frame_out, &path));
+        let disk = start(scope, "disk", move || write(writer, &disk_in));
+
+        let fused = fuse(fusion, &frame_in, &disk_out, stop, reporter, bad_input);
+        // Lets the stages before this one end, should it have ended first.
+        drop(frame_in);
+        // What went wrong first stands nearest to the source.
+        let capture_stats = join(reader)?;
+        join(decoder)?;
+        let finished = fused.and_then(|fused| {
+            let tail = Box::new(tail(name, &sensor, config, fused.output, &capture_stats));
+            let captured = Captured {
+                trajectory: fused.trajectory,
+                stats: tail.stats.clone(),
+                vertices: tail.mesh.positions.len(),
+                triangles: tail.mesh.triangles.len(),
+                keyframes: tail.keyframes.len(),
+                fusion: fused.fusion,
+                extraction: fused.extraction,
+                writing: Duration::ZERO,
+            };
+            usable(&captured, source_path)?;
+            let _ = disk_out.send(ToDisk::Finish(tail));
+            Ok(captured)
+        });
+        drop(disk_out);
+        let started = Instant::now();
+        join(disk)?;
+        finished.map(|captured| Captured { writing: started.elapsed(), ..captured })
+    })
+}
+
+fn read(mut pairs: Pairs, out: &Sender<RawPair>) -> Result<CaptureStats, Failure> {
+    while let Some(pair) = pairs.next_pair()? {
+        if out.send(pair).is_err() {
+            break;
+        }
+    }
+    Ok(pairs.stats())
+}
+
+fn decode(raw: &Receiver<RawPair>, out: &Sender<RgbdFrame>, path: &Path) -> Result<(), Failure> {
+    for RawPair { color, depth } in raw {
+        let rgb = color.decode().map_err(|problem| {
+            let (shown, time) = (path.display(), color.timestamp_ns as f64 * 1e-9);
+            Failure::Input(format!("{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"))
+        })?;
+        if out.send(RgbdFrame { depth, color, rgb }).is_err() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure> {
+    for order in disk {
+        match order {
+            ToDisk::Frame(id, color) => writer.add_frame(id, &color),
+            ToDisk::Finish(tail) => return writer.finish(&tail).map_err(|e| Failure::Internal(e.to_string())),
+        }
+        .map_err(|e| Failure::Internal(e.to_string()))?;
+    }
+    Ok(())
+}
+
+struct Fused {
+    output: FusionOutput,
+    trajectory: Vec<(TimestampNs, Pose)>,
+    fusion: Duration,
+    extraction: Duration,
+}
+
+fn fuse(
+    mut fusion: Fusion,
+    frames: &Receiver<RgbdFrame>,
+    disk: &Sender<ToDisk>,
+    stop: &Stop,
+    reporter: &Reporter,
+    bad_input: impl Fn(FusionError) -> Failure,
+) -> Result<Fused, Failure> {
+    let started = Instant::now();
+    let mut spent = Duration::ZERO;
+    let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
+    for frame in frames {
+        stop.check()?;
+        let push = Instant::now();
+        let report = fusion.push(&frame).map_err(&bad_input)?;
+        spent += push.elapsed();
+        count += 1;
+        let now_lost = report.tracking == Tracking::Lost;
+        if now_lost != lost {
+            lost = now_lost;
+            let t = frame.color.timestamp_ns as f64 * 1e-9;
+            tracing::warn!("tracking {} at {t:.3} s (frame {count})", if lost { "lost" } else { "recovered" });
+        }
+        if report.coarsened {
+            tracing::warn!("the voxel pool ran full: the volume goes on with twice the voxel size");
+        }
+        if let Some(id) = report.keep {
+            kept += 1;
+            // Fails only if the disk thread has ended, whose own error is told.
+            if disk.send(ToDisk::Frame(id, frame.color)).is_err() {
+                break;
+            }
+        }
+        let fps = count as f64 / started.elapsed().as_secs_f64().max(1e-9);
+        let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
+        reporter.step(&Step { stage: "fusion".into(), fraction: None, detail });
+    }
+    stop.check()?;
+    let extract = Instant::now();
+    reporter.step(&Step { stage: "mesh".into(), fraction: None, detail: String::new() });
+    let mut output = fusion.finish();
+    let trajectory = std::mem::take(&mut output.trajectory);
+    Ok(Fused { output, trajectory, fusion: spent, extraction: extract.elapsed() })
+}
+
+/// Joins what fusion and what the source counted.
+fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, source: &CaptureStats) -> ScanTail {
+    let stats = CaptureStats {
+        depth_frames: source.depth_frames,
+        color_frames: source.color_frames,
+        pairs: source.pairs,
+        unpaired_color: source.unpaired_color,
+        unpaired_depth: source.unpaired_depth,
+        incomplete_frames: source.incomplete_frames,
+        missing_packets: source.missing_packets,
+        dropped_pairs: source.dropped_pairs,
+        duration_s: source.duration_s,
+        ..output.stats
+    };
+    ScanTail {
+        name: name.into(),
+        sensor: sensor.clone(),
+        mesh: output.mesh,
+        keyframes: output.keyframes,
+        witnesses: output.witnesses,
+        config: config.to_toml(),
+        stats,
+    }
+}
+
+/// A scan is worth keeping if the camera was followed beyond its first frame, and there is a surface and a picture.
+fn usable(captured: &Captured, source: &Path) -> Result<(), Failure> {
+    let shown = source.display();
+    let (pairs, tracked) = (captured.stats.pairs, captured.trajectory.len());
+    let problem = if pairs == 0 {
+        "no colour frame has a depth frame near in time; check the time stamps, or raise capture.max_pair_gap_ms".into()
+    } else if tracked == 0 || (pairs > 1 && tracked < 2) {
+        format!("tracking never held ({tracked} of {pairs} frames); scan again, slower, with things 0.5 to 3 m away in view")
+    } else if captured.triangles == 0 || captured.keyframes == 0 {
+        format!("no surface came out of {pairs} frames; scan again, from 0.5 to 3 m, for longer")
+    } else {
+        return Ok(());
+    };
+    Err(Failure::Unusable(format!("{shown}: {problem}")))
+}
+
+fn start<'scope, T: Send>(
+    scope: &'scope Scope<'scope, '_>,
+    name: &str,
+    work: impl FnOnce() -> Result<T, Failure> + Send + 'scope,
+) -> Result<ScopedJoinHandle<'scope, Result<T, Failure>>, Failure>
+where
+    T: 'scope,
+{
+    std::thread::Builder::new()
+        .name(name.into())
+        .spawn_scoped(scope, work)
+        .map_err(|e| Failure::Internal(format!("thread `{name}` could not be started: {e}")))
+}
+
+fn join<T>(thread: Result<ScopedJoinHandle<'_, Result<T, Failure>>, Failure>) -> Result<T, Failure> {
+    thread?.join().unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())))
+}

@@ -1,0 +1,285 @@
+//! Where frames come from, as pairs in order of time.
+
+use crate::failure::Failure;
+use crate::pair::{Decided, Pairer};
+use firmware_config::{CaptureConfig, ResponseChoice};
+use recordings::recording::{Event, RecordingKind, RecordingReader};
+use recordings::scan::CaptureStats;
+use recordings::tum::TumReader;
+use recordings::types::{ColorFrame, DepthFrame, Response, Sensor, TimestampNs};
+use std::path::{Path, PathBuf};
+
+/// A source of frames.
+pub enum Source {
+    /// A recording of ours.
+    Replay(RecordingReader),
+    /// A TUM RGB-D folder.
+    Tum(TumReader),
+}
+
+impl Source {
+    /// Opens a recording or a TUM folder.
+    ///
+    /// # Errors
+    /// There is nothing of that name, or it is damaged.
+    pub fn open(path: &Path) -> Result<Self, Failure> {
+        let shown = path.display();
+        if path.is_dir() {
+            return Ok(Self::Tum(TumReader::open(path)?));
+        }
+        if !path.exists() {
+            return Err(Failure::Input(format!("{shown}: there is no such file or folder; give an .lrec or a TUM RGB-D folder")));
+        }
+        let reader = RecordingReader::open(path)?;
+        if reader.kind() == RecordingKind::Packets {
+            return Err(Failure::Input(format!("{shown}: holds raw USB packets, which cannot be replayed yet; give a recording of frames")));
+        }
+        Ok(Self::Replay(reader))
+    }
+
+    /// What the source says of its sensor.
+    #[must_use]
+    pub fn sensor(&self) -> &Sensor {
+        match self {
+            Self::Replay(r) => r.sensor(),
+            Self::Tum(r) => r.sensor(),
+        }
+    }
+
+    /// Place of the next event, for [`Source::seek`].
+    fn position(&self) -> u64 {
+        match self {
+            Self::Replay(r) => r.position(),
+            Self::Tum(r) => r.position() as u64,
+        }
+    }
+
+    fn seek(&mut self, position: u64) -> Result<(), Failure> {
+        match self {
+            Self::Replay(r) => Ok(r.seek(position)?),
+            Self::Tum(r) => {
+                r.seek(position as usize);
+                Ok(())
+            }
+        }
+    }
+
+    fn next_event(&mut self) -> Result<Option<Event>, Failure> {
+        Ok(match self {
+            Self::Replay(r) => r.next_event()?,
+            Self::Tum(r) => r.next_event()?,
+        })
+    }
+}
+
+/// A colour frame and the depth frame of the same instant, as they came.
+#[derive(Debug)]
+pub struct RawPair {
+    /// Colour, with the time stamp it shall have (`--loop` continues the clock).
+    pub color: ColorFrame,
+    /// Depth.
+    pub depth: DepthFrame,
+}
+
+/// The pairs of a source, played forward and backward in turns.
+pub struct Pairs {
+    source: Source,
+    path: PathBuf,
+    pairer: Pairer<(u64, ColorFrame), (u64, DepthFrame)>,
+    depth_offset_ns: i64,
+    plays: u32,
+    /// Where each pair stands in the source; only kept if it is played more than once.
+    index: Vec<Place>,
+    replayed: Option<Replayed>,
+    stats: CaptureStats,
+    span: Option<(TimestampNs, TimestampNs)>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    color: u64,
+    depth: u64,
+    time: TimestampNs,
+}
+
+/// State of the second and later turns.
+struct Replayed {
+    turns_left: u32,
+    backward: bool,
+    next: usize,
+    /// Time on the continued clock of the newest pair.
+    clock: TimestampNs,
+    /// Time in the source of the same.
+    source_time: TimestampNs,
+}
+
+impl Pairs {
+    /// Plays `source` (opened from `path`) `plays` times.
+    #[must_use]
+    pub fn new(source: Source, path: &Path, plays: u32, config: &CaptureConfig) -> Self {
+        let stated = source.sensor().depth_to_color_offset_ns;
+        let configured = ms_to_ns(config.depth_to_color_offset_ms);
+        Self {
+            pairer: Pairer::new(ms_to_ns(config.max_pair_gap_ms)),
+            depth_offset_ns: if stated == 0 { configured } else { stated },
+            source,
+            path: path.to_path_buf(),
+            plays,
+            index: Vec::new(),
+            replayed: None,
+            stats: CaptureStats::default(),
+            span: None,
+        }
+    }
+
+    /// The sensor, with what the source does not say filled in from the configuration.
+    #[must_use]
+    pub fn sensor(&self, config: &CaptureConfig) -> Sensor {
+        let mut sensor = self.source.sensor().clone();
+        sensor.depth_to_color_offset_ns = self.depth_offset_ns;
+        if matches!(self.source, Source::Tum(_)) {
+            sensor.response = match config.response {
+                ResponseChoice::Srgb => Response::Srgb,
+                ResponseChoice::Linear => Response::Linear,
+            };
+        }
+        sensor
+    }
+
+    /// The capture part of the counters.
+    #[must_use]
+    pub fn stats(&self) -> CaptureStats {
+        let duration_s = self.span.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9);
+        CaptureStats { duration_s, ..self.stats.clone() }
+    }
+
+    /// The next pair; `None` at the end of the last turn.
+    ///
+    /// # Errors
+    /// The source is damaged, or a frame is not of the size that the sensor's description states.
+    pub fn next_pair(&mut self) -> Result<Option<RawPair>, Failure> {
+        if self.replayed.is_none() {
+            if let Some(pair) = self.next_forward()? {
+                return Ok(Some(self.counted(pair)));
+            }
+            let (Some(last), true) = (self.index.last(), self.plays > 1) else { return Ok(None) };
+            self.replayed = Some(Replayed {
+                turns_left: self.plays - 1,
+                backward: true,
+                // The pair at the turning point is not played twice.
+                next: self.index.len().saturating_sub(2),
+                clock: last.time,
+                source_time: last.time,
+            });
+        }
+        let Some(pair) = self.next_replayed()? else { return Ok(None) };
+        Ok(Some(self.counted(pair)))
+    }
+
+    fn counted(&mut self, pair: RawPair) -> RawPair {
+        self.stats.pairs += 1;
+        let t = pair.color.timestamp_ns;
+        self.span = Some(self.span.map_or((t, t), |(first, last)| (first, last.max(t))));
+        pair
+    }
+
+    fn next_forward(&mut self) -> Result<Option<RawPair>, Failure> {
+        loop {
+            match self.pairer.decide() {
+                Some(Decided::Pair((color_at, color), (depth_at, depth))) => {
+                    if self.plays > 1 {
+                        self.index.push(Place { color: color_at, depth: depth_at, time: color.timestamp_ns });
+                    }
+                    return Ok(Some(RawPair { color, depth }));
+                }
+                Some(Decided::Color(_)) => self.stats.unpaired_color += 1,
+                Some(Decided::Depth(_)) => self.stats.unpaired_depth += 1,
+                None => {
+                    let position = self.source.position();
+                    match self.source.next_event()? {
+                        Some(event) => self.take(position, event)?,
+                        None if self.pairer.end() => {}
+                        None => return Ok(None),
+                    }
+                }
+            }
+        }
+    }
+
+    fn take(&mut self, position: u64, event: Event) -> Result<(), Failure> {
+        match event {
+            Event::Color(c) => {
+                self.count(c.missing_packets, true);
+                self.check_size("colour", (c.width, c.height), c.timestamp_ns, self.source.sensor().color.intrinsics)?;
+                self.pairer.push_color(c.timestamp_ns, (position, c));
+            }
+            Event::Depth(d) => {
+                self.count(d.missing_packets, false);
+                self.check_size("depth", (d.width, d.height), d.timestamp_ns, self.source.sensor().depth.intrinsics)?;
+                self.pairer.push_depth(d.timestamp_ns.saturating_add(self.depth_offset_ns), (position, d));
+            }
+            Event::Accelerometer(_) | Event::Packet(_) => {}
+        }
+        Ok(())
+    }
+
+    fn count(&mut self, missing_packets: u32, is_color: bool) {
+        let frames = if is_color { &mut self.stats.color_frames } else { &mut self.stats.depth_frames };
+        *frames += 1;
+        self.stats.incomplete_frames += u64::from(missing_packets > 0);
+        self.stats.missing_packets += u64::from(missing_packets);
+    }
+
+    fn check_size(
+        &self,
+        what: &str,
+        (width, height): (u32, u32),
+        time: TimestampNs,
+        expected: recordings::types::Intrinsics,
+    ) -> Result<(), Failure> {
+        if (width, height) == (expected.width, expected.height) {
+            return Ok(());
+        }
+        Err(Failure::Input(format!(
+            "{}: the {what} frame at {:.6} s is {width}x{height}, but the sensor's is {}x{}; record or export it again",
+            self.path.display(),
+            time as f64 * 1e-9,
+            expected.width,
+            expected.height
+        )))
+    }
+
+    /// Pairs of the second and later turns are found again by their places.
+    fn next_replayed(&mut self) -> Result<Option<RawPair>, Failure> {
+        let Some(turn) = &mut self.replayed else { return Ok(None) };
+        let Some(&place) = self.index.get(turn.next) else { return Ok(None) };
+        if turn.turns_left == 0 || self.index.len() < 2 {
+            return Ok(None);
+        }
+        let step = (place.time.saturating_sub(turn.source_time)).saturating_abs();
+        (turn.clock, turn.source_time) = (turn.clock.saturating_add(step), place.time);
+        let clock = turn.clock;
+        let last = self.index.len() - 1;
+        match (turn.backward, turn.next) {
+            (true, 0) => (turn.backward, turn.next, turn.turns_left) = (false, 1, turn.turns_left - 1),
+            (true, n) => turn.next = n - 1,
+            (false, n) if n == last => (turn.backward, turn.next, turn.turns_left) = (true, last - 1, turn.turns_left - 1),
+            (false, n) => turn.next = n + 1,
+        }
+        self.source.seek(place.color)?;
+        let color = self.source.next_event()?;
+        self.source.seek(place.depth)?;
+        let depth = self.source.next_event()?;
+        let (Some(Event::Color(mut color)), Some(Event::Depth(depth))) = (color, depth) else {
+            return Err(Failure::Input(format!("{}: changed while it was played; play a copy", self.path.display())));
+        };
+        self.count(color.missing_packets, true);
+        self.count(depth.missing_packets, false);
+        color.timestamp_ns = clock;
+        Ok(Some(RawPair { color, depth }))
+    }
+}
+
+fn ms_to_ns(ms: f64) -> i64 {
+    (ms * 1e6).round() as i64
+}
