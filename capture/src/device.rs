@@ -94,7 +94,7 @@ fn remove_abandoned(scans: &Path) {
     for entry in entries.flatten() {
         let name = entry.file_name();
         let pid = name.to_str().and_then(|n| n.strip_prefix(STAGING)).and_then(|n| n.split('-').next());
-        let alive = |pid: &str| pid.parse().is_ok_and(|p: u32| p != std::process::id() && Path::new("/proc").join(pid).exists());
+        let alive = |pid: &str| Path::new("/proc").join(pid).exists();
         if pid.is_some_and(|p| !alive(p)) {
             tracing::info!("removing what an interrupted run left: {}", entry.path().display());
             let _ = std::fs::remove_dir_all(entry.path());

@@ -51,7 +51,10 @@ impl Failure {
 
     /// For what could not be written.
     pub fn writing(path: impl AsRef<Path>, error: impl Display) -> Self {
-        Self::Internal(format!("{}: {error}; check that the disk is there, writable and not full", path.as_ref().display()))
+        Self::Internal(format!(
+            "{}: {error}; check that the disk is there, writable and not full",
+            path.as_ref().display()
+        ))
     }
 }
 

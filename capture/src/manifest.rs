@@ -85,7 +85,13 @@ impl Manifest {
     ///
     /// # Errors
     /// A file cannot be read back.
-    pub fn new(folder: &Path, name: String, published: String, capture: CaptureEntry, estimator: EstimatorEntry) -> Result<Self, Failure> {
+    pub fn new(
+        folder: &Path,
+        name: String,
+        published: String,
+        capture: CaptureEntry,
+        estimator: EstimatorEntry,
+    ) -> Result<Self, Failure> {
         let unreadable = |e: std::io::Error| Failure::writing(folder, e);
         let mut names: Vec<_> = std::fs::read_dir(folder)
             .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())

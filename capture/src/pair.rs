@@ -183,7 +183,11 @@ mod tests {
             }
         };
         for (_, is_color, t) in events {
-            if is_color { pairer.push_color(t, t) } else { pairer.push_depth(t, t) }
+            if is_color {
+                pairer.push_color(t, t)
+            } else {
+                pairer.push_depth(t, t)
+            }
             drain(&mut pairer);
         }
         pairer.end();
@@ -193,7 +197,13 @@ mod tests {
 
     fn times() -> impl Strategy<Value = Vec<i64>> {
         proptest::collection::vec(10i64..40, 0..60).prop_map(|steps| {
-            steps.iter().scan(0, |t, s| { *t += s; Some(*t) }).collect()
+            steps
+                .iter()
+                .scan(0, |t, s| {
+                    *t += s;
+                    Some(*t)
+                })
+                .collect()
         })
     }
 

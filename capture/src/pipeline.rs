@@ -63,7 +63,8 @@ pub fn run(
     reporter: &Reporter,
 ) -> Result<Captured, Failure> {
     let sensor = pairs.sensor(&config.capture);
-    let bad_input = |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
+    let bad_input =
+        |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
     let fusion = Fusion::new(&sensor, &config.fusion).map_err(bad_input)?;
     let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
 
@@ -118,7 +119,9 @@ fn decode(raw: &Receiver<RawPair>, out: &Sender<RgbdFrame>, path: &Path) -> Resu
     for RawPair { color, depth } in raw {
         let rgb = color.decode().map_err(|problem| {
             let (shown, time) = (path.display(), color.timestamp_ns as f64 * 1e-9);
-            Failure::Input(format!("{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"))
+            Failure::Input(format!(
+                "{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"
+            ))
         })?;
         if out.send(RgbdFrame { depth, color, rgb }).is_err() {
             break;
@@ -222,7 +225,9 @@ fn usable(captured: &Captured, source: &Path) -> Result<(), Failure> {
     let problem = if pairs == 0 {
         "no colour frame has a depth frame near in time; check the time stamps, or raise capture.max_pair_gap_ms".into()
     } else if tracked == 0 || (pairs > 1 && tracked < 2) {
-        format!("tracking never held ({tracked} of {pairs} frames); scan again, slower, with things 0.5 to 3 m away in view")
+        format!(
+            "tracking never held ({tracked} of {pairs} frames); scan again, slower, with things 0.5 to 3 m away in view"
+        )
     } else if captured.triangles == 0 || captured.keyframes == 0 {
         format!("no surface came out of {pairs} frames; scan again, from 0.5 to 3 m, for longer")
     } else {
@@ -231,14 +236,11 @@ fn usable(captured: &Captured, source: &Path) -> Result<(), Failure> {
     Err(Failure::Unusable(format!("{shown}: {problem}")))
 }
 
-fn start<'scope, T: Send>(
+fn start<'scope, T: Send + 'scope>(
     scope: &'scope Scope<'scope, '_>,
     name: &str,
     work: impl FnOnce() -> Result<T, Failure> + Send + 'scope,
-) -> Result<ScopedJoinHandle<'scope, Result<T, Failure>>, Failure>
-where
-    T: 'scope,
-{
+) -> Result<ScopedJoinHandle<'scope, Result<T, Failure>>, Failure> {
     std::thread::Builder::new()
         .name(name.into())
         .spawn_scoped(scope, work)

@@ -60,19 +60,27 @@ impl Reporter {
     #[must_use]
     pub fn start(verbose: bool, json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|t| t != "dumb");
-        let form = if json { Form::Json } else if terminal { Form::Bar } else { Form::Plain };
+        let form = if json {
+            Form::Json
+        } else if terminal {
+            Form::Bar
+        } else {
+            Form::Plain
+        };
         let color = terminal && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty());
         let bar = if form == Form::Bar { ProgressBar::new(1000) } else { ProgressBar::hidden() };
-        let template =
-            if color { "{prefix:.cyan} {wide_bar:.green/white} {msg}" } else { "{prefix} {wide_bar} {msg}" };
+        let template = if color { "{prefix:.cyan} {wide_bar:.green/white} {msg}" } else { "{prefix} {wide_bar} {msg}" };
         if let Ok(style) = ProgressStyle::with_template(template) {
             bar.set_style(style);
         }
         let level = if verbose { tracing::Level::DEBUG } else { tracing::Level::INFO };
-        let lines = tracing_subscriber::fmt().with_max_level(level).with_writer(BesideBar(bar.clone())).with_target(verbose);
+        let lines =
+            tracing_subscriber::fmt().with_max_level(level).with_writer(BesideBar(bar.clone())).with_target(verbose);
         // A second subscriber in one process is a test's business only.
         let _ = match form {
-            Form::Json => tracing::subscriber::set_global_default(lines.json().flatten_event(true).without_time().finish()),
+            Form::Json => {
+                tracing::subscriber::set_global_default(lines.json().flatten_event(true).without_time().finish())
+            }
             _ => tracing::subscriber::set_global_default(lines.with_ansi(color).without_time().finish()),
         };
         Self { form, bar, state: Mutex::default() }

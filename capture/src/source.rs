@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 pub enum Source {
     /// A recording of ours.
     Replay(RecordingReader),
-    /// A TUM RGB-D folder.
-    Tum(TumReader),
+    /// A TUM RGB-D folder, and the number of its next event.
+    Tum(TumReader, usize),
 }
 
 impl Source {
@@ -25,14 +25,18 @@ impl Source {
     pub fn open(path: &Path) -> Result<Self, Failure> {
         let shown = path.display();
         if path.is_dir() {
-            return Ok(Self::Tum(TumReader::open(path)?));
+            return Ok(Self::Tum(TumReader::open(path)?, 0));
         }
         if !path.exists() {
-            return Err(Failure::Input(format!("{shown}: there is no such file or folder; give an .lrec or a TUM RGB-D folder")));
+            return Err(Failure::Input(format!(
+                "{shown}: there is no such file or folder; give an .lrec or a TUM RGB-D folder"
+            )));
         }
         let reader = RecordingReader::open(path)?;
         if reader.kind() == RecordingKind::Packets {
-            return Err(Failure::Input(format!("{shown}: holds raw USB packets, which cannot be replayed yet; give a recording of frames")));
+            return Err(Failure::Input(format!(
+                "{shown}: holds raw USB packets, which cannot be replayed yet; give a recording of frames"
+            )));
         }
         Ok(Self::Replay(reader))
     }
@@ -42,32 +46,33 @@ impl Source {
     pub fn sensor(&self) -> &Sensor {
         match self {
             Self::Replay(r) => r.sensor(),
-            Self::Tum(r) => r.sensor(),
+            Self::Tum(r, _) => r.sensor(),
         }
     }
 
     /// Place of the next event, for [`Source::seek`].
     fn position(&self) -> u64 {
         match self {
-            Self::Replay(r) => r.position(),
-            Self::Tum(r) => r.position() as u64,
+            Self::Replay(r) => r.offset(),
+            Self::Tum(_, next) => *next as u64,
         }
     }
 
     fn seek(&mut self, position: u64) -> Result<(), Failure> {
         match self {
-            Self::Replay(r) => Ok(r.seek(position)?),
-            Self::Tum(r) => {
-                r.seek(position as usize);
-                Ok(())
-            }
+            Self::Replay(r) => r.seek(position)?,
+            Self::Tum(_, next) => *next = position as usize,
         }
+        Ok(())
     }
 
     fn next_event(&mut self) -> Result<Option<Event>, Failure> {
         Ok(match self {
             Self::Replay(r) => r.next_event()?,
-            Self::Tum(r) => r.next_event()?,
+            Self::Tum(r, next) => {
+                *next += 1;
+                r.event(*next - 1)?
+            }
         })
     }
 }
@@ -137,7 +142,7 @@ impl Pairs {
     pub fn sensor(&self, config: &CaptureConfig) -> Sensor {
         let mut sensor = self.source.sensor().clone();
         sensor.depth_to_color_offset_ns = self.depth_offset_ns;
-        if matches!(self.source, Source::Tum(_)) {
+        if matches!(self.source, Source::Tum(..)) {
             sensor.response = match config.response {
                 ResponseChoice::Srgb => Response::Srgb,
                 ResponseChoice::Linear => Response::Linear,
@@ -263,7 +268,9 @@ impl Pairs {
         match (turn.backward, turn.next) {
             (true, 0) => (turn.backward, turn.next, turn.turns_left) = (false, 1, turn.turns_left - 1),
             (true, n) => turn.next = n - 1,
-            (false, n) if n == last => (turn.backward, turn.next, turn.turns_left) = (true, last - 1, turn.turns_left - 1),
+            (false, n) if n == last => {
+                (turn.backward, turn.next, turn.turns_left) = (true, last - 1, turn.turns_left - 1)
+            }
             (false, n) => turn.next = n + 1,
         }
         self.source.seek(place.color)?;

@@ -1,5 +1,6 @@
 //! `trajectory.txt` in the TUM format: one line per tracked frame, with the colour frame's own time stamp.
 
+use recordings::format_seconds;
 use recordings::types::{Pose, TimestampNs};
 use std::fmt::Write;
 
@@ -13,7 +14,7 @@ pub fn to_tum(trajectory: &[(TimestampNs, Pose)]) -> String {
         let _ = writeln!(
             text,
             "{} {:.7} {:.7} {:.7} {:.8} {:.8} {:.8} {:.8}",
-            seconds(*time),
+            format_seconds(*time),
             t.x,
             t.y,
             t.z,
@@ -24,24 +25,4 @@ pub fn to_tum(trajectory: &[(TimestampNs, Pose)]) -> String {
         );
     }
     text
-}
-
-/// Exact decimal seconds: microseconds where that is exact, as TUM writes them, otherwise nanoseconds.
-fn seconds(time: TimestampNs) -> String {
-    let (sign, t) = (if time < 0 { "-" } else { "" }, time.unsigned_abs());
-    let (whole, ns) = (t / 1_000_000_000, t % 1_000_000_000);
-    if ns % 1000 == 0 { format!("{sign}{whole}.{:06}", ns / 1000) } else { format!("{sign}{whole}.{ns:09}") }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn stamps_are_exact() {
-        assert_eq!(seconds(1_305_031_102_175_304_000), "1305031102.175304");
-        assert_eq!(seconds(1_305_031_102_175_304_001), "1305031102.175304001");
-        assert_eq!(seconds(0), "0.000000");
-        assert_eq!(seconds(-1_500_000_000), "-1.500000");
-    }
 }

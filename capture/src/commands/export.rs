@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
 use recordings::tum::export_tum;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// Runs the command.
@@ -15,7 +16,8 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
     match args.to {
         ExportTo::Tum => {
             let mut recording = RecordingReader::open(&args.file)?;
-            into_fresh_folder(output, |dir| Ok(export_tum(&mut recording, dir)?))?;
+            check_fresh(output)?;
+            export_tum(&mut recording, output)?;
         }
         ExportTo::Folder => {
             let result = Estimate::read(&args.file)?;
@@ -33,22 +35,18 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
     print(&output.display().to_string())
 }
 
+/// What exists is never overwritten; returns the folder's name.
+fn check_fresh(dir: &Path) -> Result<&OsStr, Failure> {
+    let used = dir.is_file() || std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
+    match dir.file_name() {
+        Some(name) if !used => Ok(name),
+        _ => Err(Failure::Usage(format!("{}: exists and is no empty folder; name a new one", dir.display()))),
+    }
+}
+
 /// Fills a folder beside `dir` and renames it into place, so that `dir` is complete or not there at all.
 fn into_fresh_folder(dir: &Path, fill: impl FnOnce(&Path) -> Result<(), Failure>) -> Result<(), Failure> {
-    let shown = dir.display();
-    match std::fs::read_dir(dir) {
-        Ok(mut entries) if entries.next().is_some() => {
-            return Err(Failure::Usage(format!("{shown} is not empty; name a new folder, or empty this one")));
-        }
-        Err(e) if e.kind() == std::io::ErrorKind::NotADirectory => {
-            return Err(Failure::Usage(format!("{shown} is a file; name a new folder")));
-        }
-        _ => {}
-    }
-    let Some(name) = dir.file_name() else {
-        return Err(Failure::Usage(format!("{shown} names no folder; name a new one")));
-    };
-    let mut staged = name.to_os_string();
+    let mut staged = check_fresh(dir)?.to_os_string();
     staged.push(format!(".{}.part", std::process::id()));
     let staging = StagingFolder::create(dir.with_file_name(staged))?;
     fill(&staging.0)?;

@@ -3,7 +3,7 @@
 use super::{print, print_json};
 use crate::cli;
 use crate::failure::Failure;
-use recordings::FileKind;
+use recordings::chunk::kind_of;
 use recordings::recording::{Event, RecordingKind, RecordingReader};
 use recordings::result::Estimate;
 use recordings::scan::{Scan, ScanSource};
@@ -11,12 +11,20 @@ use recordings::types::TimestampNs;
 use serde_json::{Value, json};
 use std::path::Path;
 
+const RECORDING: [u8; 4] = *b"LREC";
+const SCAN: [u8; 4] = *b"SCAN";
+const RESULT: [u8; 4] = *b"LRES";
+
 /// Runs the command.
 pub fn run(args: &cli::Inspect, as_json: bool) -> Result<(), Failure> {
-    let summary = match recordings::kind_of(&args.file)? {
-        FileKind::Recording => recording(&args.file)?,
-        FileKind::Scan => scan(&Scan::read(&args.file)?),
-        FileKind::Result => result(&Estimate::read(&args.file)?),
+    let summary = match kind_of(&args.file)? {
+        Some(RECORDING) => recording(&args.file)?,
+        Some(SCAN) => scan(&Scan::read(&args.file)?),
+        Some(RESULT) => result(&Estimate::read(&args.file)?),
+        _ => {
+            let shown = args.file.display();
+            return Err(Failure::Input(format!("{shown}: no file of Lumiscan's; give an .lrec, .lscan or .lres")));
+        }
     };
     if as_json { print_json(&summary) } else { print(lines(&summary, 0).trim_end()) }
 }

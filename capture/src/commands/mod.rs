@@ -35,8 +35,9 @@ fn load(settings: &Settings) -> Result<Config, Failure> {
         None => Config::default(),
         Some(path) => {
             let shown = path.display();
-            let text = std::fs::read_to_string(path)
-                .map_err(|e| Failure::Usage(format!("{shown}: {e}; `lumiscan config > FILE` writes a settings file")))?;
+            let text = std::fs::read_to_string(path).map_err(|e| {
+                Failure::Usage(format!("{shown}: {e}; `lumiscan config > FILE` writes a settings file"))
+            })?;
             Config::from_toml(&text).map_err(|e| Failure::Usage(format!("{shown}: {e}")))?
         }
     };
