@@ -1,11 +1,10 @@
 //! `manifest.json`: what is in a published scan, and what it cost to make it. The only file with clock readings.
 
 use crate::failure::Failure;
+use recordings::chunk::crc32_of_file;
 use recordings::result::Decision;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 /// Version of the manifest's layout.
@@ -93,18 +92,17 @@ impl Manifest {
         estimator: EstimatorEntry,
     ) -> Result<Self, Failure> {
         let unreadable = |e: std::io::Error| Failure::writing(folder, e);
-        let mut names: Vec<_> = std::fs::read_dir(folder)
+        let mut names: Vec<std::ffi::OsString> = std::fs::read_dir(folder)
             .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
             .map_err(unreadable)?;
         names.sort();
-        let files = names
-            .iter()
-            .map(|n| {
-                let (bytes, crc32) = checksum(&folder.join(n))?;
-                Ok(FileEntry { name: n.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") })
-            })
-            .collect::<std::io::Result<_>>()
-            .map_err(unreadable)?;
+        let mut files = Vec::new();
+        for name in names {
+            let path = folder.join(&name);
+            let bytes = path.metadata().map_err(unreadable)?.len();
+            let crc32 = crc32_of_file(&path).map_err(|e| Failure::Internal(e.to_string()))?;
+            files.push(FileEntry { name: name.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") });
+        }
         Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
     }
 
@@ -114,20 +112,5 @@ impl Manifest {
     /// Never in practice.
     pub fn to_json(&self) -> Result<String, Failure> {
         serde_json::to_string_pretty(self).map(|t| t + "\n").map_err(|e| Failure::Internal(e.to_string()))
-    }
-}
-
-fn checksum(path: &Path) -> std::io::Result<(u64, u32)> {
-    let mut file = File::open(path)?;
-    let mut hasher = crc32fast::Hasher::new();
-    let mut buffer = vec![0u8; 1 << 16];
-    let mut bytes = 0;
-    loop {
-        let n = file.read(&mut buffer)?;
-        if n == 0 {
-            return Ok((bytes, hasher.finalize()));
-        }
-        hasher.update(&buffer[..n]);
-        bytes += n as u64;
     }
 }

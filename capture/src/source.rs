@@ -53,7 +53,7 @@ impl Source {
     /// Place of the next event, for [`Source::seek`].
     fn position(&self) -> u64 {
         match self {
-            Self::Replay(r) => r.offset(),
+            Self::Replay(r) => r.position(),
             Self::Tum(_, next) => *next as u64,
         }
     }
