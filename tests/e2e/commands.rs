@@ -1,5 +1,7 @@
 //! `config`, `--help`, `--version`, and what the command line refuses.
 
+#![allow(clippy::unwrap_used, reason = "these are tests")]
+
 mod common;
 
 use common::{arg, fails, json, ok, run, text};
