@@ -108,7 +108,8 @@ fn photos_become_a_folder_that_scripts_read() {
 
 #[test]
 fn photos_that_cannot_be_used_are_3() {
-    let cases: [(&str, &str, fn(&Path)); 6] = [
+    type Case = (&'static str, &'static str, fn(&Path));
+    let cases: [Case; 6] = [
         ("transforms.json", "no transforms", |f| std::fs::remove_file(f.join("transforms.json")).unwrap()),
         ("mesh.ply", "no mesh", |f| std::fs::remove_file(f.join("mesh.ply")).unwrap()),
         ("transforms.json", "NaN pose", |f| {

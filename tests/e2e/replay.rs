@@ -18,7 +18,7 @@ const COARSE: [&str; 2] = ["--set", "fusion.voxel_size_m=0.01"];
 fn replay(source: &Path, device: &Path, extra: &[&str]) -> PathBuf {
     let (source, device) = (arg(source), arg(device));
     let stdout = ok(&[&["replay", &source, "--device", &device], &COARSE[..], extra].concat());
-    PathBuf::from(stdout.lines().last().expect("a last line"))
+    PathBuf::from(stdout.lines().last().unwrap())
 }
 
 fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
