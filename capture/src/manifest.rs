@@ -1,7 +1,7 @@
 //! `manifest.json`: what is in a published scan, and what it cost to make it. The only file with clock readings.
 
 use crate::failure::Failure;
-use recordings::chunk::crc32_of_file;
+use recordings::crc32_of_file;
 use recordings::result::Decision;
 use recordings::scan::CaptureStats;
 use serde::Serialize;

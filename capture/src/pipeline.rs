@@ -43,6 +43,9 @@ pub struct Captured {
     pub writing: Duration,
 }
 
+/// A decoded frame, and the share of the source played with it.
+type Played = (RgbdFrame, f64);
+
 /// What the disk thread is told.
 enum ToDisk {
     Frame(FrameId, ColorFrame),
@@ -69,7 +72,7 @@ pub fn run(
     let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
 
     let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);
-    let (frame_out, frame_in) = bounded::<RgbdFrame>(QUEUED_FRAMES);
+    let (frame_out, frame_in) = bounded::<Played>(QUEUED_FRAMES);
     let (disk_out, disk_in) = bounded::<ToDisk>(QUEUED_KEYFRAMES);
     std::thread::scope(|scope| {
         let reader = start(scope, "read", move || read(pairs, &raw_out));
@@ -115,15 +118,15 @@ fn read(mut pairs: Pairs, out: &Sender<RawPair>) -> Result<CaptureStats, Failure
     Ok(pairs.stats())
 }
 
-fn decode(raw: &Receiver<RawPair>, out: &Sender<RgbdFrame>, path: &Path) -> Result<(), Failure> {
-    for RawPair { color, depth } in raw {
+fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<(), Failure> {
+    for RawPair { color, depth, played } in raw {
         let rgb = color.decode().map_err(|problem| {
             let (shown, time) = (path.display(), color.timestamp_ns as f64 * 1e-9);
             Failure::Input(format!(
                 "{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"
             ))
         })?;
-        if out.send(RgbdFrame { depth, color, rgb }).is_err() {
+        if out.send((RgbdFrame { depth, color, rgb }, played)).is_err() {
             break;
         }
     }
@@ -150,7 +153,7 @@ struct Fused {
 
 fn fuse(
     mut fusion: Fusion,
-    frames: &Receiver<RgbdFrame>,
+    frames: &Receiver<Played>,
     disk: &Sender<ToDisk>,
     stop: &Stop,
     reporter: &Reporter,
@@ -159,7 +162,7 @@ fn fuse(
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
-    for frame in frames {
+    for (frame, played) in frames {
         stop.check()?;
         let push = Instant::now();
         let report = fusion.push(&frame).map_err(&bad_input)?;
@@ -183,7 +186,7 @@ fn fuse(
         }
         let fps = count as f64 / started.elapsed().as_secs_f64().max(1e-9);
         let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
-        reporter.step(&Step { stage: "fusion".into(), fraction: None, detail });
+        reporter.step(&Step { stage: "fusion".into(), fraction: Some(played), detail });
     }
     stop.check()?;
     let extract = Instant::now();

@@ -1,81 +1,13 @@
-//! Where frames come from, as pairs in order of time.
+//! Where frames come from: a recording or a TUM folder, played as pairs in order of time.
 
 use crate::failure::Failure;
 use crate::pair::{Decided, Pairer};
 use firmware_config::{CaptureConfig, ResponseChoice};
-use recordings::recording::{Event, RecordingKind, RecordingReader};
+use recordings::recording::Event;
 use recordings::scan::CaptureStats;
-use recordings::tum::TumReader;
+use recordings::source::FrameSource;
 use recordings::types::{ColorFrame, DepthFrame, Response, Sensor, TimestampNs};
 use std::path::{Path, PathBuf};
-
-/// A source of frames.
-pub enum Source {
-    /// A recording of ours.
-    Replay(RecordingReader),
-    /// A TUM RGB-D folder, and the number of its next event.
-    Tum(TumReader, usize),
-}
-
-impl Source {
-    /// Opens a recording or a TUM folder.
-    ///
-    /// # Errors
-    /// There is nothing of that name, or it is damaged.
-    pub fn open(path: &Path) -> Result<Self, Failure> {
-        let shown = path.display();
-        if path.is_dir() {
-            return Ok(Self::Tum(TumReader::open(path)?, 0));
-        }
-        if !path.exists() {
-            return Err(Failure::Input(format!(
-                "{shown}: there is no such file or folder; give an .lrec or a TUM RGB-D folder"
-            )));
-        }
-        let reader = RecordingReader::open(path)?;
-        if reader.kind() == RecordingKind::Packets {
-            return Err(Failure::Input(format!(
-                "{shown}: holds raw USB packets, which cannot be replayed yet; give a recording of frames"
-            )));
-        }
-        Ok(Self::Replay(reader))
-    }
-
-    /// What the source says of its sensor.
-    #[must_use]
-    pub fn sensor(&self) -> &Sensor {
-        match self {
-            Self::Replay(r) => r.sensor(),
-            Self::Tum(r, _) => r.sensor(),
-        }
-    }
-
-    /// Place of the next event, for [`Source::seek`].
-    fn position(&self) -> u64 {
-        match self {
-            Self::Replay(r) => r.position(),
-            Self::Tum(_, next) => *next as u64,
-        }
-    }
-
-    fn seek(&mut self, position: u64) -> Result<(), Failure> {
-        match self {
-            Self::Replay(r) => r.seek(position)?,
-            Self::Tum(_, next) => *next = position as usize,
-        }
-        Ok(())
-    }
-
-    fn next_event(&mut self) -> Result<Option<Event>, Failure> {
-        Ok(match self {
-            Self::Replay(r) => r.next_event()?,
-            Self::Tum(r, next) => {
-                *next += 1;
-                r.event(*next - 1)?
-            }
-        })
-    }
-}
 
 /// A colour frame and the depth frame of the same instant, as they came.
 #[derive(Debug)]
@@ -84,16 +16,20 @@ pub struct RawPair {
     pub color: ColorFrame,
     /// Depth.
     pub depth: DepthFrame,
+    /// Share of the source that has been played, all turns counted.
+    pub played: f64,
 }
 
 /// The pairs of a source, played forward and backward in turns.
 pub struct Pairs {
-    source: Source,
+    source: FrameSource,
+    /// Number of the next event of the first turn.
+    next: usize,
     path: PathBuf,
-    pairer: Pairer<(u64, ColorFrame), (u64, DepthFrame)>,
+    pairer: Pairer<(usize, ColorFrame), (usize, DepthFrame)>,
     depth_offset_ns: i64,
     plays: u32,
-    /// Where each pair stands in the source; only kept if it is played more than once.
+    /// The events of each pair; only kept if the source is played more than once.
     index: Vec<Place>,
     replayed: Option<Replayed>,
     stats: CaptureStats,
@@ -102,8 +38,8 @@ pub struct Pairs {
 
 #[derive(Debug, Clone, Copy)]
 struct Place {
-    color: u64,
-    depth: u64,
+    color: usize,
+    depth: usize,
     time: TimestampNs,
 }
 
@@ -119,22 +55,26 @@ struct Replayed {
 }
 
 impl Pairs {
-    /// Plays `source` (opened from `path`) `plays` times.
-    #[must_use]
-    pub fn new(source: Source, path: &Path, plays: u32, config: &CaptureConfig) -> Self {
+    /// Opens a recording or a TUM folder, to be played `plays` times.
+    ///
+    /// # Errors
+    /// There is nothing of that name, or it is damaged.
+    pub fn open(path: &Path, plays: u32, config: &CaptureConfig) -> Result<Self, Failure> {
+        let source = FrameSource::open(path)?;
         let stated = source.sensor().depth_to_color_offset_ns;
         let configured = ms_to_ns(config.depth_to_color_offset_ms);
-        Self {
+        Ok(Self {
             pairer: Pairer::new(ms_to_ns(config.max_pair_gap_ms)),
             depth_offset_ns: if stated == 0 { configured } else { stated },
             source,
+            next: 0,
             path: path.to_path_buf(),
             plays,
             index: Vec::new(),
             replayed: None,
             stats: CaptureStats::default(),
             span: None,
-        }
+        })
     }
 
     /// The sensor, with what the source does not say filled in from the configuration.
@@ -142,7 +82,7 @@ impl Pairs {
     pub fn sensor(&self, config: &CaptureConfig) -> Sensor {
         let mut sensor = self.source.sensor().clone();
         sensor.depth_to_color_offset_ns = self.depth_offset_ns;
-        if matches!(self.source, Source::Tum(..)) {
+        if matches!(self.source, FrameSource::Tum(_)) {
             sensor.response = match config.response {
                 ResponseChoice::Srgb => Response::Srgb,
                 ResponseChoice::Linear => Response::Linear,
@@ -195,14 +135,14 @@ impl Pairs {
                     if self.plays > 1 {
                         self.index.push(Place { color: color_at, depth: depth_at, time: color.timestamp_ns });
                     }
-                    return Ok(Some(RawPair { color, depth }));
+                    let played = self.source.progress(self.next) / f64::from(self.plays);
+                    return Ok(Some(RawPair { color, depth, played }));
                 }
                 Some(Decided::Color(_)) => self.stats.unpaired_color += 1,
                 Some(Decided::Depth(_)) => self.stats.unpaired_depth += 1,
                 None => {
-                    let position = self.source.position();
-                    match self.source.next_event()? {
-                        Some(event) => self.take(position, event)?,
+                    match self.source.event(self.next)? {
+                        Some(event) => self.take(event)?,
                         None if self.pairer.end() => {}
                         None => return Ok(None),
                     }
@@ -211,17 +151,19 @@ impl Pairs {
         }
     }
 
-    fn take(&mut self, position: u64, event: Event) -> Result<(), Failure> {
+    fn take(&mut self, event: Event) -> Result<(), Failure> {
+        let number = self.next;
+        self.next += 1;
         match event {
             Event::Color(c) => {
                 self.count(c.missing_packets, true);
                 self.check_size("colour", (c.width, c.height), c.timestamp_ns, self.source.sensor().color.intrinsics)?;
-                self.pairer.push_color(c.timestamp_ns, (position, c));
+                self.pairer.push_color(c.timestamp_ns, (number, c));
             }
             Event::Depth(d) => {
                 self.count(d.missing_packets, false);
                 self.check_size("depth", (d.width, d.height), d.timestamp_ns, self.source.sensor().depth.intrinsics)?;
-                self.pairer.push_depth(d.timestamp_ns.saturating_add(self.depth_offset_ns), (position, d));
+                self.pairer.push_depth(d.timestamp_ns.saturating_add(self.depth_offset_ns), (number, d));
             }
             Event::Accelerometer(_) | Event::Packet(_) => {}
         }
@@ -254,7 +196,7 @@ impl Pairs {
         )))
     }
 
-    /// Pairs of the second and later turns are found again by their places.
+    /// Pairs of the second and later turns are found again by the numbers of their events.
     fn next_replayed(&mut self) -> Result<Option<RawPair>, Failure> {
         let Some(turn) = &mut self.replayed else { return Ok(None) };
         let Some(&place) = self.index.get(turn.next) else { return Ok(None) };
@@ -273,17 +215,15 @@ impl Pairs {
             }
             (false, n) => turn.next = n + 1,
         }
-        self.source.seek(place.color)?;
-        let color = self.source.next_event()?;
-        self.source.seek(place.depth)?;
-        let depth = self.source.next_event()?;
+        let (color, depth) = (self.source.event(place.color)?, self.source.event(place.depth)?);
         let (Some(Event::Color(mut color)), Some(Event::Depth(depth))) = (color, depth) else {
             return Err(Failure::Input(format!("{}: changed while it was played; play a copy", self.path.display())));
         };
         self.count(color.missing_packets, true);
         self.count(depth.missing_packets, false);
         color.timestamp_ns = clock;
-        Ok(Some(RawPair { color, depth }))
+        let played = (self.stats.pairs + 1) as f64 / (self.index.len() as f64 * f64::from(self.plays));
+        Ok(Some(RawPair { color, depth, played }))
     }
 }
 

@@ -350,19 +350,15 @@ impl RecordingReader {
         self.seek(self.first)
     }
 
-    /// Continues at an event, as [`RecordingReader::position`] gave it.
-    ///
-    /// # Errors
-    /// The file cannot be read.
-    pub fn seek(&mut self, offset: u64) -> Result<()> {
+    /// Goes to a place that [`RecordingReader::position`] gave.
+    pub(crate) fn seek(&mut self, offset: u64) -> Result<()> {
         self.packets.clear();
         self.done = false;
         self.file.seek(offset)
     }
 
-    /// Where the next event begins, for [`RecordingReader::seek`] (of a recording of frames).
-    #[must_use]
-    pub fn position(&self) -> u64 {
+    /// Where the next chunk begins.
+    pub(crate) fn position(&self) -> u64 {
         self.file.offset()
     }
 

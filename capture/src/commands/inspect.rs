@@ -4,10 +4,9 @@ use super::{print, print_json};
 use crate::cli;
 use crate::failure::Failure;
 use recordings::chunk::kind_of;
-use recordings::recording::{Event, RecordingKind, RecordingReader};
+use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};
 use recordings::result::Estimate;
 use recordings::scan::{Scan, ScanSource};
-use recordings::types::TimestampNs;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -29,59 +28,17 @@ pub fn run(args: &cli::Inspect, as_json: bool) -> Result<(), Failure> {
     if as_json { print_json(&summary) } else { print(lines(&summary, 0).trim_end()) }
 }
 
-#[derive(Default)]
-struct Counted {
-    frames: u64,
-    incomplete: u64,
-    missing_packets: u64,
-}
-
-impl Counted {
-    fn add(&mut self, missing_packets: u32) {
-        self.frames += 1;
-        self.incomplete += u64::from(missing_packets > 0);
-        self.missing_packets += u64::from(missing_packets);
-    }
-    fn json(&self) -> Value {
-        json!({ "frames": self.frames, "incomplete": self.incomplete, "missing_packets": self.missing_packets })
-    }
-}
-
 fn recording(path: &Path) -> Result<Value, Failure> {
-    let mut reader = RecordingReader::open(path)?;
-    let (mut depth, mut color) = (Counted::default(), Counted::default());
-    let (mut accelerometer, mut packets) = (0u64, 0u64);
-    let mut span: Option<(TimestampNs, TimestampNs)> = None;
-    while let Some(event) = reader.next_event()? {
-        let time = match &event {
-            Event::Depth(d) => {
-                depth.add(d.missing_packets);
-                d.timestamp_ns
-            }
-            Event::Color(c) => {
-                color.add(c.missing_packets);
-                c.timestamp_ns
-            }
-            Event::Accelerometer(a) => {
-                accelerometer += 1;
-                a.timestamp_ns
-            }
-            Event::Packet(p) => {
-                packets += 1;
-                p.timestamp_ns
-            }
-        };
-        span = Some(span.map_or((time, time), |(a, b)| (a.min(time), b.max(time))));
-    }
-    let sensor = reader.sensor();
+    let sensor = RecordingReader::open(path)?.sensor().clone();
+    let summary = RecordingSummary::read(path)?;
     Ok(json!({
         "kind": "recording",
-        "content": match reader.kind() { RecordingKind::Frames => "frames", RecordingKind::Packets => "packets" },
-        "duration_s": span.map_or(0.0, |(a, b)| b.saturating_sub(a) as f64 * 1e-9),
-        "depth": depth.json(),
-        "color": color.json(),
-        "accelerometer": accelerometer,
-        "packets": packets,
+        "content": match summary.kind { RecordingKind::Frames => "frames", RecordingKind::Packets => "packets" },
+        "duration_s": summary.duration_s,
+        "depth": summary.depth,
+        "color": summary.color,
+        "accelerometer": summary.accelerometer,
+        "packets": summary.packets,
         "sensor": sensor,
     }))
 }

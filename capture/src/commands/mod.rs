@@ -22,7 +22,7 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
     match &cli.command {
         Command::Replay(a) => replay::run(a, cli.json, reporter),
         Command::Estimate(a) => estimate::run(a, cli.json, reporter),
-        Command::Import(a) => import::run(a, reporter),
+        Command::Import(a) => import::run(a),
         Command::Export(a) => export::run(a),
         Command::Config(a) => config::run(a, cli.json),
         Command::Inspect(a) => inspect::run(a, cli.json),

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::manifest::{CaptureEntry, EstimatorEntry, Manifest};
 use crate::pipeline::{self, Captured};
 use crate::report::Reporter;
-use crate::source::{Pairs, Source};
+use crate::source::Pairs;
 use crate::stop::Stop;
 use crate::{memory, trajectory};
 use recordings::result::Estimate;
@@ -20,13 +20,12 @@ use std::time::{Duration, Instant, SystemTime};
 pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Failure> {
     let config = load(&args.settings)?;
     use_threads(args.effort.threads)?;
-    let source = Source::open(&args.source)?;
+    let pairs = Pairs::open(&args.source, args.loops, &config.capture)?;
     let name = name_of(&args.source);
     let stop = Stop::on_signals()?;
     let staging = Staging::create(&args.device, &name)?;
     let scan_path = staging.folder().join("scan.lscan");
 
-    let pairs = Pairs::new(source, &args.source, args.loops, &config.capture);
     let captured = pipeline::run(pairs, &name, &args.source, &scan_path, &config, &stop, reporter)?;
     device::write_file(&staging.folder().join("trajectory.txt"), trajectory::to_tum(&captured.trajectory).as_bytes())?;
     told(&captured);
