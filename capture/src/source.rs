@@ -140,13 +140,11 @@ impl Pairs {
                 }
                 Some(Decided::Color(_)) => self.stats.unpaired_color += 1,
                 Some(Decided::Depth(_)) => self.stats.unpaired_depth += 1,
-                None => {
-                    match self.source.event(self.next)? {
-                        Some(event) => self.take(event)?,
-                        None if self.pairer.end() => {}
-                        None => return Ok(None),
-                    }
-                }
+                None => match self.source.event(self.next)? {
+                    Some(event) => self.take(event)?,
+                    None if self.pairer.end() => {}
+                    None => return Ok(None),
+                },
             }
         }
     }
