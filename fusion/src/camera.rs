@@ -156,6 +156,8 @@ pub struct Rig {
     pub color_from_depth: Pose,
     pub depth_from_color: Pose,
     pub depth_unit_m: f32,
+    /// Depth stamp + this = the colour clock's time of the same instant, in nanoseconds.
+    pub depth_to_color_offset_ns: i64,
     /// Pixels per row and rows of the colour image.
     pub color_size: (u32, u32),
 }
@@ -184,9 +186,9 @@ impl Rig {
             grey_step,
             grey_undistort: Undistort::new(&grey0, &sensor.color.distortion),
             depth,
-            // Registered depth stands in the undistorted colour camera: it has no lens of its own.
-            depth_undistort: if sensor.depth_registered {
-                Undistort::None
+            // Registered depth stands on the colour camera's own pixels, lens included.
+            depth_undistort: if sensor.depth_registered && (color.width, color.height) == (depth.width, depth.height) {
+                Undistort::new(&depth, &sensor.color.distortion)
             } else {
                 Undistort::new(&depth, &sensor.depth.distortion)
             },
@@ -195,6 +197,7 @@ impl Rig {
             color_from_depth,
             depth_from_color: color_from_depth.inverse(),
             depth_unit_m: sensor.depth_unit_m as f32,
+            depth_to_color_offset_ns: sensor.depth_to_color_offset_ns,
             color_size: (sensor.color.intrinsics.width, sensor.color.intrinsics.height),
         })
     }

@@ -77,6 +77,10 @@ pub struct FusionOutput {
 const MIN_VALID: f32 = 0.03;
 /// Longest gap between frames over which the last velocity is believed, seconds.
 const MAX_PREDICTION_S: f64 = 0.2;
+/// Frames over which the velocity is averaged that takes depth to the colour image's instant.
+const VELOCITY_FRAMES: usize = 4;
+/// Longest time between the images of a pair that is made up for by the motion, seconds.
+const MAX_STAMP_GAP_S: f64 = 0.1;
 /// Anchors tried per frame when lost.
 const RELOCALISATION_TRIES: usize = 3;
 
@@ -170,6 +174,7 @@ impl Fusion {
 
         // Depth to points and normals, colour to a grey pyramid.
         stage("preprocess", || self.frame.fill(frame, &self.rig, &self.config));
+        self.frame.synchronise(self.motion_from_depth_to_color(frame));
         // Where is the camera?
         let found = stage("track", || match self.state {
             _ if self.is_blind() => None,
@@ -180,7 +185,7 @@ impl Fusion {
         let Some(pose) = found else { return Ok(self.lose()) };
         self.hold(&pose, stamp);
         // Depth into the volume.
-        let world_from_depth = pose.compose(&self.rig.color_from_depth);
+        let world_from_depth = pose.compose(&self.frame.color_from_depth_time).compose(&self.rig.color_from_depth);
         let refused = stage("integrate", || {
             self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth)
         });
@@ -237,6 +242,20 @@ impl Fusion {
     /// True if the frame shows nothing: a covered lens, a black picture, no depth.
     fn is_blind(&self) -> bool {
         self.frame.valid < MIN_VALID || self.frame.mean_grey < self.config.black_below as f32
+    }
+
+    /// How the camera moves from the depth image's instant to the colour image's, by the velocity of the last frames.
+    fn motion_from_depth_to_color(&self, frame: &RgbdFrame) -> Pose {
+        let depth = frame.depth.timestamp_ns.saturating_add(self.rig.depth_to_color_offset_ns);
+        let gap = seconds(depth, frame.color.timestamp_ns);
+        let recent = &self.trajectory[self.trajectory.len().saturating_sub(VELOCITY_FRAMES)..];
+        let (Some((t0, first)), Some((t1, last))) = (recent.first(), recent.last()) else { return Pose::IDENTITY };
+        let span = seconds(*t0, *t1);
+        let still = self.state != Some(Tracking::Tracked) || gap.abs() > MAX_STAMP_GAP_S;
+        if still || span <= 0.0 || span > VELOCITY_FRAMES as f64 * MAX_PREDICTION_S {
+            return Pose::IDENTITY;
+        }
+        track::exp(&(track::log(&first.inverse().compose(last)) * (-gap / span)))
     }
 
     fn first_pose(&self) -> Pose {

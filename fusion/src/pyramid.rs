@@ -1,11 +1,11 @@
 //! A frame as tracking sees it: grey pyramid of the undistorted colour image, cleaned depth, and a grid of denoised
 //! points with normals.
 
-use crate::camera::{LEVELS, Pinhole, Rig, Undistort, depth_sigma};
+use crate::camera::{LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
 use crate::isa::{Isa, dispatch};
 use firmware_config::FusionConfig;
 use glam::{Vec2, Vec3};
-use recordings::types::RgbdFrame;
+use recordings::types::{Pose, RgbdFrame};
 
 /// Depth neighbours further apart than this share of their depth lie on different surfaces.
 const JUMP: f32 = 0.05;
@@ -105,6 +105,8 @@ pub struct Frame {
     pub mean_grey: f32,
     /// Mean squared grey gradient over the variance: falls with motion blur, not with exposure.
     pub sharpness: f32,
+    /// Takes a point from the colour camera at the depth image's instant to the same camera at the colour image's.
+    pub color_from_depth_time: Pose,
     /// Share of the grid with a point and normal.
     pub valid: f32,
     /// Median depth of the grid, metres; 0 if there is none.
@@ -137,6 +139,19 @@ impl Frame {
         self.fill_grey(&frame.rgb.data, rig);
         self.fill_depth(&frame.depth.depth, rig, config);
         self.fill_grid(rig);
+    }
+
+    /// Moves the grid from the depth image's instant to the colour image's, between which the camera moved by
+    /// `color_from_depth_time`.
+    pub fn synchronise(&mut self, color_from_depth_time: Pose) {
+        self.color_from_depth_time = color_from_depth_time;
+        if color_from_depth_time == Pose::IDENTITY {
+            return;
+        }
+        let t = Rigid::from(&color_from_depth_time);
+        for s in self.grid.iter_mut().filter(|s| s.p.z > 0.0) {
+            *s = Surfel { p: t.apply(s.p), n: t.r * s.n };
+        }
     }
 
     fn fill_grey(&mut self, rgb: &[u8], rig: &Rig) {
@@ -212,7 +227,7 @@ impl Frame {
     /// The tracking grid: each sample is the mean of the depths of its cell that lie on one surface.
     fn fill_grid(&mut self, rig: &Rig) {
         let (grid, step, width) = (&rig.grid, rig.grid_step, rig.depth.width);
-        let to_color = crate::camera::Rigid::from(&rig.color_from_depth);
+        let to_color = Rigid::from(&rig.color_from_depth);
         let (rows, columns) = (rig.depth.height.min(step), rig.depth.width.min(step));
         for y in 0..grid.height {
             for x in 0..grid.width {

@@ -65,7 +65,7 @@ const MIN_GRADIENT2: f32 = 9.0;
 
 /// From each cell of an 80 × 60 grid over the depth image, the sample with the strongest grey gradient at `level`.
 fn photo_points(frame: &Frame, rig: &Rig, level: usize, out: &mut Vec<PhotoPoint>) {
-    let to_color = Rigid::from(&rig.color_from_depth);
+    let to_color = Rigid::from(&frame.color_from_depth_time.compose(&rig.color_from_depth));
     let step = (rig.grid_step << level).div_ceil(2).max(1);
     let per_cell = (1usize << (LEVELS - 1 - level)).max(1);
     let (columns, rows) = (rig.depth.width / (step * per_cell), rig.depth.height / (step * per_cell));

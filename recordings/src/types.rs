@@ -72,11 +72,11 @@ pub struct Sensor {
     pub serial: String,
     /// Colour camera.
     pub color: CameraModel,
-    /// Depth camera. Where depth is registered to colour these are the colour intrinsics, undistorted.
+    /// Depth camera. Where depth is registered to colour this is the colour camera.
     pub depth: CameraModel,
     /// Transform from the depth to the colour camera; identity where depth is registered to colour.
     pub color_from_depth: Pose,
-    /// True if depth pixels are already those of the (undistorted) colour camera.
+    /// True if depth pixels are already those of the colour camera as it comes, lens distortion included.
     pub depth_registered: bool,
     /// Metres per depth unit (0.001 for millimetres, 0.0002 for TUM's 5000 per metre).
     pub depth_unit_m: f64,
