@@ -1,7 +1,7 @@
 //! Runs TUM RGB-D folders through fusion and prints what the project is judged by: trajectory error, share of frames
 //! tracked, CPU time per frame and stage, mesh against truth.
 //!
-//! `cargo run --release -p fusion --example ate -- [--out DIR] [--set key=value]… FOLDER[=TRUTH_MESH]…`
+//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… FOLDER[=TRUTH_MESH]…`
 
 use firmware_config::Config;
 use fusion::{Fusion, FusionOutput, Tracking};
@@ -21,10 +21,12 @@ fn main() -> Result<()> {
     let mut config = Config::default();
     let mut out: Option<PathBuf> = None;
     let mut folders = Vec::new();
+    let mut threads = 1;
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--out" => out = Some(args.next().ok_or("--out needs a folder")?.into()),
+            "--threads" => threads = args.next().ok_or("--threads needs a number")?.parse()?,
             "--set" => config.set(&args.next().ok_or("--set needs key=value")?)?,
             "--trace" => tracing::subscriber::set_global_default(stages::Printer)?,
             _ => folders.push(arg),
@@ -33,9 +35,11 @@ fn main() -> Result<()> {
     if !tracing::dispatcher::has_been_set() {
         tracing::subscriber::set_global_default(stages::Collector)?;
     }
+    // Inside a pool of one thread, that thread's clock tells the stages' CPU time.
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     for folder in folders {
         let (dir, truth) = folder.split_once('=').map_or((folder.as_str(), None), |(d, t)| (d, Some(t)));
-        run(Path::new(dir), truth.map(Path::new), &config, out.as_deref())?;
+        pool.install(|| run(Path::new(dir), truth.map(Path::new), &config, out.as_deref()).map_err(|e| e.to_string()))?;
     }
     Ok(())
 }
@@ -166,7 +170,8 @@ fn report_ate(dir: &Path, result: &FusionOutput, truth: Option<&Path>) -> Result
     println!("ATE in cm with truth read at stamp + shift:{text}");
     if let (Some(path), Some((_, _, r, t))) = (truth, ate(result, &truth_poses, 0.0)) {
         let reference = read_ply_vertices(path)?;
-        let ours: Vec<Vec3> = result.mesh.positions.iter().map(|p| (r * p.as_dvec3() + t).as_vec3()).collect();
+        let ours: Vec<(Vec3, Vec3)> =
+            result.mesh.positions.iter().map(|p| ((r * p.as_dvec3() + t).as_vec3(), Vec3::ZERO)).collect();
         report_mesh(dir, &ours, &reference)?;
     }
     Ok(())
@@ -210,15 +215,17 @@ fn ate(result: &FusionOutput, truth: &[Stamped], shift: f64) -> Option<(f64, f64
     Some((rmse, errors.iter().copied().fold(0.0, f64::max), r, t))
 }
 
-/// Distance of our vertices to the truth's, and the share of the truth near ours, among what the camera saw.
-fn report_mesh(dir: &Path, ours: &[Vec3], truth: &[Vec3]) -> Result<()> {
+/// Distance of our vertices to the truth's surface (the tangent plane of its nearest vertex), and the share of the
+/// truth's vertices near ours, among those the camera saw.
+fn report_mesh(dir: &Path, ours: &[(Vec3, Vec3)], truth: &[(Vec3, Vec3)]) -> Result<()> {
     let near_truth = Grid::new(truth, 0.02);
-    let mut d: Vec<f32> = ours.iter().filter_map(|p| near_truth.nearest(*p)).collect();
+    let to_plane = |p: &Vec3| near_truth.nearest(*p).map(|(_, i)| (*p - truth[i].0).dot(truth[i].1).abs());
+    let mut d: Vec<f32> = ours.iter().map(|p| &p.0).filter_map(to_plane).collect();
     d.sort_by(f32::total_cmp);
     let far = ours.len() - d.len();
     let near_ours = Grid::new(ours, 0.02);
     let seen = seen_vertices(dir, truth)?;
-    let complete = seen.iter().filter(|p| near_ours.nearest(**p).is_some_and(|d| d < 0.005)).count();
+    let complete = seen.iter().filter(|p| near_ours.nearest(p.0).is_some_and(|(d, _)| d < 0.005)).count();
     println!(
         "mesh to truth: median {:.2} mm, 90 % {:.2} mm, {} vertices beyond 20 mm; complete at 5 mm: {:.1} % of {}",
         d.get(d.len() / 2).unwrap_or(&f32::NAN) * 1e3,
@@ -231,14 +238,14 @@ fn report_mesh(dir: &Path, ours: &[Vec3], truth: &[Vec3]) -> Result<()> {
 }
 
 /// The truth's vertices that at least five frames measured: a depth within 1 cm at their pixel.
-fn seen_vertices(dir: &Path, truth: &[Vec3]) -> Result<Vec<Vec3>> {
+fn seen_vertices(dir: &Path, truth: &[(Vec3, Vec3)]) -> Result<Vec<(Vec3, Vec3)>> {
     let (sensor, pairs) = read_pairs(dir)?;
     let poses = ground_truth(dir)?;
     let k = sensor.depth.intrinsics;
     let mut count = vec![0u32; truth.len()];
     for (depth, color) in pairs.iter().step_by(3) {
         let Some((p, q)) = at_time(&poses, color.timestamp_ns as f64 * 1e-9) else { continue };
-        for (v, n) in truth.iter().zip(&mut count) {
+        for ((v, _), n) in truth.iter().zip(&mut count) {
             let x = q.conjugate() * (v.as_dvec3() - p);
             let (u, w) = ((k.fx * x.x / x.z + k.cx).round(), (k.fy * x.y / x.z + k.cy).round());
             if x.z > 0.1 && u >= 0.0 && w >= 0.0 && u < f64::from(k.width) && w < f64::from(k.height) {
@@ -252,38 +259,39 @@ fn seen_vertices(dir: &Path, truth: &[Vec3]) -> Result<Vec<Vec3>> {
 
 /// Points in cells of `size`, for the nearest within `size`.
 struct Grid {
-    cells: HashMap<[i32; 3], Vec<Vec3>>,
+    cells: HashMap<[i32; 3], Vec<(Vec3, usize)>>,
     size: f32,
 }
 
 impl Grid {
-    fn new(points: &[Vec3], size: f32) -> Self {
-        let mut cells: HashMap<[i32; 3], Vec<Vec3>> = HashMap::new();
-        for p in points {
-            cells.entry((*p / size).floor().as_ivec3().to_array()).or_default().push(*p);
+    fn new(points: &[(Vec3, Vec3)], size: f32) -> Self {
+        let mut cells: HashMap<[i32; 3], Vec<(Vec3, usize)>> = HashMap::new();
+        for (i, (p, _)) in points.iter().enumerate() {
+            cells.entry((*p / size).floor().as_ivec3().to_array()).or_default().push((*p, i));
         }
         Self { cells, size }
     }
 
-    fn nearest(&self, p: Vec3) -> Option<f32> {
+    /// Distance to the nearest point and its number.
+    fn nearest(&self, p: Vec3) -> Option<(f32, usize)> {
         let c = (p / self.size).floor().as_ivec3();
         let mut best = self.size * self.size;
-        let mut found = false;
+        let mut found = None;
         for k in 0..27 {
             let d = glam::IVec3::new(k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1);
-            for q in self.cells.get(&(c + d).to_array()).into_iter().flatten() {
+            for (q, i) in self.cells.get(&(c + d).to_array()).into_iter().flatten() {
                 let d = q.distance_squared(p);
                 if d < best {
-                    (best, found) = (d, true);
+                    (best, found) = (d, Some(*i));
                 }
             }
         }
-        found.then(|| best.sqrt())
+        found.map(|i| (best.sqrt(), i))
     }
 }
 
-/// The positions of a binary little-endian PLY whose vertices begin with float x, y, z.
-fn read_ply_vertices(path: &Path) -> Result<Vec<Vec3>> {
+/// Positions and normals of a binary little-endian PLY whose vertices begin with float x, y, z, nx, ny, nz.
+fn read_ply_vertices(path: &Path) -> Result<Vec<(Vec3, Vec3)>> {
     let bytes = std::fs::read(path)?;
     let marker = b"end_header\n";
     let end = bytes.windows(marker.len()).position(|w| w == marker).ok_or("no PLY header")? + marker.len();
@@ -291,9 +299,13 @@ fn read_ply_vertices(path: &Path) -> Result<Vec<Vec3>> {
     let count: usize =
         header.lines().find_map(|l| l.strip_prefix("element vertex ")).ok_or("no vertices")?.trim().parse()?;
     let stride = 4 * header.lines().filter(|l| l.starts_with("property float")).count();
+    if stride < 24 {
+        return Err("the PLY has no normals".into());
+    }
     let body = bytes.get(end..end + count * stride).ok_or("truncated PLY")?;
     let float = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    Ok(body.chunks_exact(stride).map(|v| Vec3::new(float(v), float(&v[4..]), float(&v[8..]))).collect())
+    let vec3 = |b: &[u8]| Vec3::new(float(b), float(&b[4..]), float(&b[8..]));
+    Ok(body.chunks_exact(stride).map(|v| (vec3(v), vec3(&v[12..]))).collect())
 }
 
 fn ply(mesh: &Mesh) -> Vec<u8> {
@@ -355,18 +367,23 @@ fn peak_mib() -> u64 {
     line.and_then(|l| l.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// Wall time per tracing span: the stages of `Fusion::push`.
+/// CPU time per tracing span (the stages of `Fusion::push`), complete with one thread.
 mod stages {
     use std::cell::RefCell;
     use std::fmt::Debug;
     use std::sync::Mutex;
-    use std::time::Instant;
     use tracing::field::{Field, Visit};
     use tracing::span::{Attributes, Id, Record};
     use tracing::{Event, Metadata, Subscriber};
 
     static NAMES: Mutex<Vec<(&'static str, f64)>> = Mutex::new(Vec::new());
-    thread_local!(static OPEN: RefCell<Vec<Instant>> = const { RefCell::new(Vec::new()) });
+    thread_local!(static OPEN: RefCell<Vec<f64>> = const { RefCell::new(Vec::new()) });
+
+    /// CPU time of this thread in milliseconds (Linux; 0 elsewhere).
+    fn thread_ms() -> f64 {
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
+        text.split_whitespace().next().and_then(|t| t.parse::<f64>().ok()).unwrap_or(0.0) * 1e-6
+    }
 
     pub fn reset() {
         if let Ok(mut names) = NAMES.lock() {
@@ -397,14 +414,14 @@ mod stages {
         fn record_follows_from(&self, _: &Id, _: &Id) {}
         fn event(&self, _: &Event<'_>) {}
         fn enter(&self, _: &Id) {
-            OPEN.with_borrow_mut(|o| o.push(Instant::now()));
+            OPEN.with_borrow_mut(|o| o.push(thread_ms()));
         }
         fn exit(&self, id: &Id) {
             let start = OPEN.with_borrow_mut(Vec::pop);
             if let (Some(start), Ok(mut names)) = (start, NAMES.lock())
                 && let Some(name) = names.get_mut(id.into_u64() as usize - 1)
             {
-                name.1 += start.elapsed().as_secs_f64() * 1e3;
+                name.1 += thread_ms() - start;
             }
         }
     }

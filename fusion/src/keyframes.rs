@@ -1,14 +1,16 @@
 //! Keyframes, Eq. (1): candidates while scanning, the smallest covering set at the end.
 
-use crate::camera::{Pinhole, Rig, Rigid, depth_sigma};
+use crate::camera::{Pinhole, Rig, Rigid};
 use crate::pyramid::Frame;
 use firmware_config::FusionConfig;
-use glam::Vec3;
+use rayon::prelude::*;
 use recordings::scan::{FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose};
 
 /// Vertices that coverage is judged on, at most.
 const JUDGED_VERTICES: usize = 30_000;
+/// Vertices that are drawn to find what hides what, at most.
+const DRAWN_VERTICES: usize = 400_000;
 /// A vertex is seen if the angle between its normal and the direction to the camera has a greater cosine (c2, relaxed) …
 const SEEN_COS: f32 = 0.17;
 /// … and seen well with this one (c2).
@@ -30,8 +32,6 @@ struct Candidate {
     pose: Pose,
     sharpness: f32,
     replaced: u32,
-    /// Depth along the tracking grid, millimetres, 0 = none.
-    depth_mm: Vec<u16>,
 }
 
 /// The candidates of a scan.
@@ -51,7 +51,7 @@ pub struct Candidates {
 pub struct Chosen {
     pub keyframes: Vec<KeptFrame>,
     pub witnesses: Vec<KeptFrame>,
-    /// Share of the mesh's vertices that a keyframe sees.
+    /// Share of the mesh's vertices, of those that any candidate saw well, that a keyframe sees.
     pub coverage: f64,
 }
 
@@ -69,7 +69,7 @@ impl Candidates {
     }
 
     /// Decides whether a tracked frame becomes a candidate.
-    pub fn offer(&mut self, frame: &Frame, rig: &Rig, pose: &Pose, config: &FusionConfig) -> Option<FrameId> {
+    pub fn offer(&mut self, frame: &Frame, pose: &Pose, config: &FusionConfig) -> Option<FrameId> {
         self.depth_sum += f64::from(frame.median_depth);
         self.frames += 1;
         let nearest = self
@@ -82,11 +82,9 @@ impl Candidates {
         let mut new = |sharpness, replaced| {
             let id = FrameId(self.next_id);
             self.next_id += 1;
-            let depth_mm = frame.grid.iter().map(|s| (s.p.z * 1000.0) as u16).collect();
             let index = self.frames as usize;
-            (id, Candidate { id, index, pose: *pose, sharpness, replaced, depth_mm })
+            (id, Candidate { id, index, pose: *pose, sharpness, replaced })
         };
-        debug_assert_eq!(frame.grid.len(), rig.grid.width * rig.grid.height);
         match nearest {
             None => {
                 let (id, candidate) = new(frame.sharpness, 0);
@@ -130,11 +128,12 @@ impl Candidates {
         self.list.sort_by_key(|c| c.index);
         let stride = mesh.positions.len().div_ceil(JUDGED_VERTICES).max(1);
         let judged: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
-        let views: Vec<Vec<u8>> = self.list.iter().map(|c| c.sees(mesh, &judged, rig)).collect();
+        let views: Vec<Vec<u8>> = self.list.par_iter().map(|c| c.sees(mesh, &judged, &rig.grey[1])).collect();
         let room = self.frames > 0 && self.depth_sum / f64::from(self.frames) > f64::from(ROOM_DEPTH_M);
         let spacing = config.keyframe_spacing_m * if room { 2.0 } else { 1.0 };
         let chosen = greedy(&self.list, &views, spacing, config);
-        let seen = (0..judged.len()).filter(|v| chosen.iter().any(|c| views[*c][*v] > 0)).count();
+        let well: Vec<usize> = (0..judged.len()).filter(|v| views.iter().any(|c| c[*v] > 1)).collect();
+        let seen = well.iter().filter(|v| chosen.iter().any(|c| views[*c][**v] > 0)).count();
         let kept = |c: &Candidate| KeptFrame { id: c.id, world_from_camera: c.pose };
         let mut rest: Vec<&Candidate> =
             (0..self.list.len()).filter(|i| !chosen.contains(i)).map(|i| &self.list[i]).collect();
@@ -145,7 +144,7 @@ impl Candidates {
         Chosen {
             witnesses: spread(&rest, config.witnesses as usize).into_iter().map(kept).collect(),
             keyframes: keyframes.into_iter().map(|i| kept(&self.list[i])).collect(),
-            coverage: if judged.is_empty() { 0.0 } else { seen as f64 / judged.len() as f64 },
+            coverage: seen as f64 / well.len().max(1) as f64,
         }
     }
 }
@@ -162,40 +161,35 @@ fn spread<'a>(frames: &[&'a Candidate], n: usize) -> Vec<&'a Candidate> {
 }
 
 impl Candidate {
-    /// For each judged vertex: 0 not seen, 1 seen, 2 seen well.
-    fn sees(&self, mesh: &Mesh, judged: &[usize], rig: &Rig) -> Vec<u8> {
-        let camera = Rigid::from(&self.pose.inverse());
-        let to_depth = Rigid::from(&rig.depth_from_color);
+    /// For each judged vertex: 0 not seen, 1 seen, 2 seen well. What hides what is decided by the mesh's own vertices,
+    /// drawn into a picture as coarse as `camera`.
+    fn sees(&self, mesh: &Mesh, judged: &[usize], camera: &Pinhole) -> Vec<u8> {
+        let t = Rigid::from(&self.pose.inverse());
         let centre = self.pose.translation.as_vec3();
+        let mut nearest = vec![f32::INFINITY; camera.width * camera.height];
+        for v in mesh.positions.iter().step_by(mesh.positions.len().div_ceil(DRAWN_VERTICES).max(1)) {
+            let p = t.apply(*v);
+            if let Some(pixel) = camera.pixel(p) {
+                nearest[pixel] = nearest[pixel].min(p.z);
+            }
+        }
         judged
             .iter()
-            .map(|&i| self.sees_vertex(mesh.positions[i], mesh.normals[i], centre, &camera, &to_depth, rig))
+            .map(|&i| {
+                let (v, n) = (mesh.positions[i], mesh.normals[i]);
+                let cos = (centre - v).normalize_or_zero().dot(n);
+                let p = t.apply(v);
+                let Some(pixel) = camera.pixel(p).filter(|_| cos > SEEN_COS) else { return 0 };
+                // A slanted surface spans some depth within a pixel.
+                let slack = 0.01 * p.z + 1.5 * p.z / (camera.fx * cos);
+                match (p.z < nearest[pixel] + slack, cos > WELL_COS) {
+                    (false, _) => 0,
+                    (true, false) => 1,
+                    (true, true) => 2,
+                }
+            })
             .collect()
     }
-
-    fn sees_vertex(&self, v: Vec3, n: Vec3, centre: Vec3, camera: &Rigid, to_depth: &Rigid, rig: &Rig) -> u8 {
-        let cos = (centre - v).normalize_or_zero().dot(n);
-        let p = camera.apply(v);
-        if cos <= SEEN_COS || !in_picture(&rig.grey[0], p) {
-            return 0;
-        }
-        let Some(pixel) = rig.grid.pixel(to_depth.apply(p)) else { return 0 };
-        let z = f32::from(self.depth_mm[pixel]) * 0.001;
-        if z <= 0.0 || p.z - z > 0.01 + 4.0 * depth_sigma(z) / cos.max(0.2) {
-            return 0;
-        }
-        if cos > WELL_COS { 2 } else { 1 }
-    }
-}
-
-fn in_picture(camera: &Pinhole, p: Vec3) -> bool {
-    let margin = 0.01 * camera.width as f32;
-    let q = camera.project(p);
-    p.z > 0.05
-        && q.x > margin
-        && q.y > margin
-        && q.x < camera.width as f32 - 1.0 - margin
-        && q.y < camera.height as f32 - 1.0 - margin
 }
 
 // Eq. (1)

@@ -7,6 +7,7 @@ mod isa;
 mod keyframes;
 mod pyramid;
 mod relocalise;
+mod rotate;
 mod track;
 mod volume;
 
@@ -193,7 +194,7 @@ impl Fusion {
         let coarsened = self.make_room();
         // What the next frames are tracked against.
         stage("remember", || self.remember(&pose));
-        let keep = stage("keyframes", || self.candidates.offer(&self.frame, &self.rig, &pose, &self.config));
+        let keep = stage("keyframes", || self.candidates.offer(&self.frame, &pose, &self.config));
         std::mem::swap(&mut self.frame, &mut self.last);
         Ok(FrameReport {
             tracking: Tracking::Tracked,
@@ -274,11 +275,9 @@ impl Fusion {
         let predicted = last.compose(&track::exp(&motion));
         let mut tracker = std::mem::take(&mut self.tracker);
 
-        let turned = last.rotation.conjugate() * predicted.rotation;
-        let (camera_from_last, before, after) =
-            track::align_rotation(&self.frame, &self.last, &self.rig, turned.conjugate());
+        let turn = predicted.rotation.conjugate() * last.rotation;
         let mut starts = vec![predicted];
-        if after < 0.95 * before {
+        if let Some(camera_from_last) = rotate::align(&self.frame, &self.last, &self.rig, turn) {
             starts.push(Pose::new(last.rotation * camera_from_last.conjugate(), predicted.translation));
         }
         let coarse = starts

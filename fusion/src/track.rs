@@ -110,21 +110,23 @@ pub fn log(p: &Pose) -> Vector6<f64> {
 
 /// A sum of weighted normal equations, H δ = b, and statistics of what went in.
 #[derive(Debug, Clone, Copy)]
-struct System {
-    h: [[f64; UNKNOWNS]; UNKNOWNS],
-    b: [f64; UNKNOWNS],
+pub struct System {
+    pub h: [[f64; UNKNOWNS]; UNKNOWNS],
+    pub b: [f64; UNKNOWNS],
     /// Residuals that went in, and of them those within 3 σ.
-    count: usize,
+    pub count: usize,
     inliers: usize,
     /// Sum of |r|, for the scale.
-    absolute: f64,
+    pub absolute: f64,
 }
 
 impl System {
-    const ZERO: Self = Self { h: [[0.0; UNKNOWNS]; UNKNOWNS], b: [0.0; UNKNOWNS], count: 0, inliers: 0, absolute: 0.0 };
+    pub const ZERO: Self =
+        Self { h: [[0.0; UNKNOWNS]; UNKNOWNS], b: [0.0; UNKNOWNS], count: 0, inliers: 0, absolute: 0.0 };
 
     #[inline(always)]
-    fn add<const N: usize>(&mut self, j: &[f32; N], r: f32, w: f32) {
+    /// Adds a residual r with its derivatives j and weight w.
+    pub fn add<const N: usize>(&mut self, j: &[f32; N], r: f32, w: f32) {
         let (r, w) = (f64::from(r), f64::from(w));
         let j = j.map(f64::from);
         for a in 0..N {
@@ -478,65 +480,4 @@ fn solve(geo: &System, photo: &System, offset: &Vector6<f64>, depth: f64, config
         offset: brightness[1] as f32,
         condition: eigen.eigenvalues.min() / largest,
     }
-}
-
-/// Rotation-only photometric alignment (SO(3), ESM-free) of the coarsest level to the last frame's; returns
-/// `camera_from_last` and the mean residual before and after.
-pub fn align_rotation(frame: &Frame, last: &Frame, rig: &Rig, start: DQuat) -> (DQuat, f32, f32) {
-    let level = LEVELS - 1;
-    let camera = &rig.grey[level];
-    let (a, b) = (&last.grey[level], &frame.grey[level]);
-    let mut rotation = start;
-    let mut first = f32::INFINITY;
-    let mut best = (start, f32::INFINITY);
-    let offset = f64::from(frame.mean_grey - last.mean_grey) as f32;
-    for _ in 0..8 {
-        let r = glam::Mat3::from_quat(rotation.as_quat());
-        let mut system = System::ZERO;
-        for v in 1..a.height.saturating_sub(1) {
-            for u in 1..a.width.saturating_sub(1) {
-                let reference = a.data[v * a.width + u];
-                if reference < 0.0 {
-                    continue;
-                }
-                let x = r * camera.ray(u as f32, v as f32);
-                if x.z < 0.1 {
-                    continue;
-                }
-                let Some((value, gradient)) = b.sample(camera.project(x)) else { continue };
-                let e = value - reference - offset;
-                let iz = 1.0 / x.z;
-                let (gx, gy) = (gradient.x * camera.fx * iz, gradient.y * camera.fy * iz);
-                let g = Vec3::new(gx, gy, -(gx * x.x + gy * x.y) * iz);
-                // camera_from_last ← exp(ω) camera_from_last moves x by ω × x.
-                let c = x.cross(g);
-                let w = 1.0 / (1.0 + e * e * (1.0 / 400.0));
-                system.add(&[c.x, c.y, c.z], e, w);
-                system.count += 1;
-                system.absolute += f64::from(e.abs().min(40.0));
-            }
-        }
-        if system.count * 4 < a.data.len() {
-            break;
-        }
-        let error = (system.absolute / system.count as f64) as f32;
-        if first.is_infinite() {
-            first = error;
-        }
-        if error < best.1 {
-            best = (rotation, error);
-        } else {
-            break;
-        }
-        let h = nalgebra::Matrix3::from_fn(|a, c| {
-            (if a <= c { system.h[a][c] } else { system.h[c][a] }) + if a == c { 1e-3 } else { 0.0 }
-        });
-        let rhs = nalgebra::Vector3::new(system.b[0], system.b[1], system.b[2]);
-        let Some(step) = h.cholesky().map(|c| c.solve(&rhs)) else { break };
-        rotation = (DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2])) * rotation).normalize();
-        if step.norm() < 1e-4 {
-            break;
-        }
-    }
-    (best.0, first, best.1)
 }

@@ -82,7 +82,7 @@ pub struct CaptureStats {
     pub blocks_refused: u64,
     /// Length of the capture on the recording's clock, in seconds.
     pub duration_s: f64,
-    /// Share of the mesh's vertices that a keyframe sees.
+    /// Share of the mesh's vertices, of those that any candidate frame saw well, that a keyframe sees.
     pub keyframe_coverage: f64,
 }
 

@@ -1,0 +1,302 @@
+//! Tracking, loss and recovery in a world whose truth is known.
+
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod world;
+
+use firmware_config::FusionConfig;
+use fusion::{Fusion, FusionError, Tracking};
+use glam::{DQuat, DVec3};
+use recordings::types::{Pose, RgbdFrame, Sensor};
+use world::{Shape, World, desk, error, look_at, moved};
+
+fn small_config() -> FusionConfig {
+    FusionConfig { pool_blocks: 16384, ..FusionConfig::default() }
+}
+
+/// Runs frames through fusion; the poses it reports, `None` where lost.
+fn track(sensor: &Sensor, frames: &[RgbdFrame]) -> Vec<Option<Pose>> {
+    let mut fusion = Fusion::new(sensor, &small_config()).unwrap();
+    frames.iter().map(|f| fusion.push(f).unwrap().world_from_camera).collect()
+}
+
+fn worst_error(sensor: &Sensor, world: &World, truth: &[Pose]) -> (f64, f64) {
+    let frames: Vec<RgbdFrame> = truth.iter().enumerate().map(|(i, p)| world.look(sensor, p, i)).collect();
+    let found = track(sensor, &frames);
+    let first = found[0].unwrap();
+    found.iter().zip(truth).fold((0.0, 0.0), |worst, (f, t)| {
+        let e = error((&first, &truth[0]), (&f.expect("lost"), t));
+        (e.0.max(worst.0), e.1.max(worst.1))
+    })
+}
+
+#[test]
+fn an_arc_over_a_desk_is_followed() {
+    let sensor = world::sensor(320, 240);
+    let truth: Vec<Pose> = (0..40)
+        .map(|i| {
+            let a = f64::from(i) * 0.02;
+            look_at(DVec3::new(1.1 * libm::sin(a), -1.1 * libm::cos(a), 0.7), DVec3::new(0.0, 0.0, 0.1))
+        })
+        .collect();
+    let (metres, degrees) = worst_error(&sensor, &desk(), &truth);
+    assert!(metres < 0.006 && degrees < 0.5, "{metres} m, {degrees}°");
+}
+
+#[test]
+fn a_textured_plane_does_not_slide() {
+    let sensor = world::sensor(320, 240);
+    let plane = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
+    let start = look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO);
+    let truth: Vec<Pose> =
+        (0..40).map(|i| moved(&start, DVec3::new(0.006 * f64::from(i), 0.0, 0.0), DVec3::ZERO)).collect();
+    let (metres, degrees) = worst_error(&sensor, &plane, &truth);
+    assert!(metres < 0.008 && degrees < 0.5, "{metres} m, {degrees}°");
+}
+
+#[test]
+fn a_plane_without_texture_stays_put() {
+    let sensor = world::sensor(320, 240);
+    let plane = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 0.0, cell_m: 0.03 };
+    let truth = vec![look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO); 60];
+    let (metres, degrees) = worst_error(&sensor, &plane, &truth);
+    assert!(metres < 0.005 && degrees < 0.3, "{metres} m, {degrees}°");
+}
+
+#[test]
+fn a_fast_turn_is_followed() {
+    let sensor = world::sensor(320, 240);
+    let room = World {
+        shapes: vec![
+            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
+            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
+        ],
+        mean: 120.0,
+        contrast: 80.0,
+        cell_m: 0.12,
+    };
+    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
+    // Up to 4° a frame, 120° a second.
+    let truth: Vec<Pose> = (0..40)
+        .map(|i| moved(&start, DVec3::ZERO, DVec3::new(0.0, 40.0 * libm::sin(f64::from(i) * 0.1), 0.0)))
+        .collect();
+    let (metres, degrees) = worst_error(&sensor, &room, &truth);
+    assert!(metres < 0.03 && degrees < 1.0, "{metres} m, {degrees}°");
+}
+
+/// Ten frames on the desk, `between`, then ten more where the first ended. Returns the states and blocks used.
+fn interrupted(between: impl Fn(&Sensor, &Pose, usize) -> RgbdFrame) -> (Vec<Tracking>, Vec<u64>, Vec<Option<Pose>>) {
+    let sensor = world::sensor(320, 240);
+    let world = desk();
+    let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let (mut states, mut blocks, mut poses) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..30 {
+        let frame = if (10..20).contains(&i) { between(&sensor, &at, i) } else { world.look(&sensor, &at, i) };
+        let report = fusion.push(&frame).unwrap();
+        states.push(report.tracking);
+        blocks.push(report.blocks_used);
+        poses.push(report.world_from_camera);
+    }
+    let output = fusion.finish();
+    assert_eq!(output.stats.lost_pairs, states.iter().filter(|s| **s == Tracking::Lost).count() as u64);
+    assert_eq!(output.trajectory.len(), states.iter().filter(|s| **s == Tracking::Tracked).count());
+    (states, blocks, poses)
+}
+
+fn assert_lost_and_found(states: &[Tracking], blocks: &[u64], poses: &[Option<Pose>]) {
+    assert!(states[..10].iter().all(|s| *s == Tracking::Tracked));
+    assert!(states[10..12].contains(&Tracking::Lost), "not lost within two frames: {states:?}");
+    assert!(states[12..20].iter().all(|s| *s == Tracking::Lost), "{states:?}");
+    assert_eq!(blocks[11], blocks[19], "something was integrated while lost");
+    let back = states[20..].iter().position(|s| *s == Tracking::Tracked).expect("never found again");
+    assert!(back < 10);
+    let (before, after) = (poses[9].unwrap(), poses[29].unwrap());
+    let e = before.inverse().compose(&after);
+    assert!(e.translation.length() < 0.01, "found in the wrong place: {} m", e.translation.length());
+}
+
+#[test]
+fn black_frames_are_lost_and_the_camera_is_found_again() {
+    let (states, blocks, poses) = interrupted(|sensor, _, i| world::black(sensor, i));
+    assert_lost_and_found(&states, &blocks, &poses);
+}
+
+#[test]
+fn a_covered_lens_is_lost_and_the_camera_is_found_again() {
+    // A hand before the projector and camera: no depth, a dim even picture.
+    let (states, blocks, poses) = interrupted(|sensor, _, i| {
+        let n = (sensor.color.intrinsics.width * sensor.color.intrinsics.height) as usize;
+        world::frame(sensor, i, vec![0; n], vec![40; 3 * n])
+    });
+    assert_lost_and_found(&states, &blocks, &poses);
+}
+
+#[test]
+fn a_view_of_something_else_is_lost_and_the_camera_is_found_again() {
+    let elsewhere = World {
+        shapes: vec![Shape::Room(DVec3::new(-1.0, -3.0, -0.4), DVec3::new(2.5, 1.0, 2.0))],
+        mean: 90.0,
+        contrast: 70.0,
+        cell_m: 0.07,
+    };
+    let (states, blocks, poses) = interrupted(|sensor, at, i| elsewhere.look(sensor, at, i));
+    assert_lost_and_found(&states, &blocks, &poses);
+}
+
+#[test]
+fn a_jump_is_noticed_and_made_good() {
+    let sensor = world::sensor(320, 240);
+    let world = desk();
+    let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
+    let away = moved(&at, DVec3::new(0.28, 0.0, -0.1), DVec3::new(0.0, -20.0, 0.0));
+    let truth: Vec<Pose> = (0..40).map(|i| if (15..25).contains(&i) { away } else { at }).collect();
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut found = Vec::new();
+    for (i, p) in truth.iter().enumerate() {
+        found.push(fusion.push(&world.look(&sensor, p, i)).unwrap().world_from_camera);
+    }
+    assert!(found[15..17].iter().any(Option::is_none), "the jump went unnoticed");
+    assert!(found[25..35].iter().any(Option::is_some), "never found again");
+    assert!(found[39].is_some());
+    let first = found[0].unwrap();
+    for (f, t) in found.iter().zip(&truth) {
+        if let Some(f) = f {
+            let e = error((&first, &truth[0]), (f, t));
+            assert!(e.0 < 0.02 && e.1 < 1.5, "fused in a wrong place: {e:?}");
+        }
+    }
+    assert!(fusion.finish().stats.losses >= 1);
+}
+
+#[test]
+fn the_world_is_upright() {
+    let sensor = world::sensor(320, 240);
+    let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let up = at.rotation.conjugate() * DVec3::Z;
+    fusion.set_gravity(9.81 * up);
+    let pose = fusion.push(&desk().look(&sensor, &at, 0)).unwrap().world_from_camera.unwrap();
+    assert!((pose.rotation * up - DVec3::Z).length() < 1e-6);
+}
+
+#[test]
+fn one_thread_or_two_give_the_same_bits() {
+    let sensor = world::sensor(320, 240);
+    let world = desk();
+    let frames: Vec<RgbdFrame> = (0..12)
+        .map(|i| {
+            let from = DVec3::new(0.02 * f64::from(i), -1.1, 0.7);
+            world.look(&sensor, &look_at(from, DVec3::new(0.0, 0.0, 0.1)), i as usize)
+        })
+        .collect();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+            for f in &frames {
+                fusion.push(f).unwrap();
+            }
+            fusion.finish()
+        })
+    };
+    let (a, b) = (run(1), run(2));
+    assert_eq!(a.trajectory, b.trajectory);
+    assert_eq!(a.mesh, b.mesh);
+    assert_eq!(a.keyframes, b.keyframes);
+}
+
+#[test]
+fn no_picture_makes_it_panic() {
+    for (w, h) in [(1, 1), (2, 3), (7, 5), (64, 48), (161, 121), (330, 250)] {
+        let sensor = world::sensor(w, h);
+        let n = (w * h) as usize;
+        let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+        for i in 0..6 {
+            let value = [0u16, 65535, 1000, 40_000, 1500, 1][i];
+            let depth = (0..n).map(|p| if p % 3 == i % 3 { value } else { value.wrapping_mul(p as u16) }).collect();
+            let rgb = (0..3 * n).map(|p| (p * (i + 37)) as u8).collect();
+            fusion.push(&world::frame(&sensor, i, depth, rgb)).unwrap();
+        }
+        let even = world::frame(&sensor, 9, vec![65535; n], vec![255; 3 * n]);
+        fusion.push(&even).unwrap();
+        let output = fusion.finish();
+        assert!(output.mesh.positions.iter().all(|p| p.is_finite()));
+        assert!(output.mesh.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-3));
+    }
+}
+
+#[test]
+fn senseless_sensors_and_frames_are_refused() {
+    let good = world::sensor(64, 48);
+    let spoil = |f: fn(&mut Sensor)| {
+        let mut s = good.clone();
+        f(&mut s);
+        assert!(matches!(Fusion::new(&s, &small_config()), Err(FusionError::BadSensor(_))));
+    };
+    spoil(|s| s.color.intrinsics.fx = 0.0);
+    spoil(|s| s.depth.intrinsics.fy = f64::NAN);
+    spoil(|s| s.depth.intrinsics.cx = 1e12);
+    spoil(|s| s.color.intrinsics.width = 0);
+    spoil(|s| s.depth.intrinsics.height = u32::MAX);
+    spoil(|s| s.depth_unit_m = -1.0);
+    spoil(|s| s.color.distortion.k2 = f64::INFINITY);
+    spoil(|s| s.color_from_depth.translation.x = f64::NAN);
+    spoil(|s| s.color_from_depth.rotation = DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
+    let mut fusion = Fusion::new(&good, &small_config()).unwrap();
+    let mut wrong = world::black(&good, 0);
+    wrong.depth.depth.pop();
+    assert!(matches!(fusion.push(&wrong), Err(FusionError::BadFrame(_))));
+    let other = world::black(&world::sensor(32, 48), 0);
+    assert!(matches!(fusion.push(&other), Err(FusionError::BadFrame(_))));
+}
+
+#[test]
+fn a_room_fits_a_small_pool_by_coarsening() {
+    let sensor = world::sensor(160, 120);
+    let room = World {
+        shapes: vec![
+            Shape::Room(DVec3::new(-2.5, -2.0, 0.0), DVec3::new(2.5, 2.0, 2.5)),
+            Shape::Box(DVec3::new(0.5, 0.6, 0.0), DVec3::new(1.5, 1.4, 0.8)),
+        ],
+        mean: 120.0,
+        contrast: 80.0,
+        cell_m: 0.15,
+    };
+    let config = FusionConfig { pool_blocks: 4096, ..FusionConfig::default() };
+    let mut fusion = Fusion::new(&sensor, &config).unwrap();
+    let mut coarsened = 0;
+    let mut errors = Vec::new();
+    let mut first = None;
+    for i in 0..240 {
+        let a = f64::from(i) * std::f64::consts::TAU / 240.0;
+        let from = DVec3::new(0.3 * libm::cos(a), 0.3 * libm::sin(a), 1.2);
+        let pose = look_at(from, from + DVec3::new(libm::cos(a), libm::sin(a), -0.25));
+        let report = fusion.push(&room.look(&sensor, &pose, i as usize)).unwrap();
+        assert!(report.blocks_used <= 4096);
+        coarsened += u32::from(report.coarsened);
+        let found = report.world_from_camera.expect("lost in the room");
+        let first = first.get_or_insert((found, pose));
+        errors.push(error((&first.0, &first.1), (&found, &pose)).0);
+    }
+    let output = fusion.finish();
+    assert!(coarsened >= 1 && output.stats.coarsenings == coarsened);
+    assert!((output.stats.voxel_size_m - 0.005 * f64::from(1 << coarsened)).abs() < 1e-6);
+    assert!(errors.iter().all(|e| *e < 0.08), "{:?}", errors.iter().copied().fold(0.0, f64::max));
+    assert!(output.mesh.triangles.len() > 1000);
+}
+
+#[test]
+fn a_camera_that_hardly_moves_gives_one_keyframe() {
+    let sensor = world::sensor(320, 240);
+    let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    for i in 0..20 {
+        let pose = moved(&at, DVec3::new(0.001 * i as f64, 0.0, 0.0), DVec3::ZERO);
+        fusion.push(&desk().look(&sensor, &pose, i)).unwrap();
+    }
+    let output = fusion.finish();
+    assert_eq!(output.keyframes.len(), 1);
+    assert!(output.stats.keyframe_coverage > 0.97);
+    assert!(output.mesh.triangles.len() > 1000);
+}
