@@ -325,3 +325,62 @@ fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool)
     logs.iter_mut().flatten().for_each(|l| *l -= mean);
     logs
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe
+    /// to keyframe, the same over all of it but for a gentle tilt. The rest is matte and noisy.
+    fn field(gains: &[f64]) -> (LightField, Mesh) {
+        let mut observations = Vec::new();
+        let mut offsets = vec![0];
+        let mut mesh = Mesh::default();
+        let mut state = 1_u32;
+        for i in 0..6400_u32 {
+            let (x, y) = (i % 80, i / 80);
+            mesh.positions.push(Vec3::new(x as f32, y as f32, 0.0));
+            mesh.normals.push(Vec3::Z);
+            for (j, g) in gains.iter().enumerate() {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let noise = (f64::from(state >> 8) / f64::from(1 << 24) - 0.5) * 0.2;
+                let bump = j as f64 - 3.0 - 0.05 * f64::from(y);
+                let gloss = if x < 56 { 0.4 / (1.0 + bump * bump) } else { 0.0 };
+                let base = if x < 56 { [0.1, 0.2, 0.15] } else { [0.3, 0.28, 0.25] };
+                let color = base.map(|b| (b * g * (1.0 + gloss + noise)) as f32);
+                observations.push(Observation { vertex: i, keyframe: j as u16, color, weight: 0.5 });
+            }
+            offsets.push(observations.len() as u32);
+        }
+        (LightField { observations, offsets }, mesh)
+    }
+
+    fn worst_error(found: &[[f64; 3]], gains: &[f64]) -> f64 {
+        let mean = gains.iter().map(|g| libm::log(*g)).sum::<f64>() / gains.len() as f64;
+        let error = |(f, g): (&[f64; 3], &f64)| (libm::log(f[1]) - libm::log(*g) + mean).abs();
+        found.iter().zip(gains).map(error).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_glossy_majority_does_not_set_the_gains() {
+        let gains = [1.0, 1.2, 1.5, 0.7, 0.8, 1.1, 0.9, 1.0];
+        let (field, mesh) = field(&gains);
+        for choice in [ExposureChoice::Auto, ExposureChoice::Scalar] {
+            let (found, _) = solve(&field, &mesh, 1.0, gains.len(), choice, 0.004);
+            assert!(worst_error(&found, &gains) < 0.01, "{choice:?}: {}", worst_error(&found, &gains));
+        }
+        let (found, _) = solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::None, 0.004);
+        assert_eq!(found, vec![[1.0; 3]; gains.len()]);
+    }
+
+    #[test]
+    fn gains_have_geometric_mean_one_and_one_thread_gives_the_same() {
+        let gains = [10.0, 0.001, 3.0, 0.5];
+        let (field, mesh) = field(&gains);
+        let run = || solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::Rgb, 0.0).0;
+        let sum: f64 = run().iter().flatten().map(|g| libm::log(*g)).sum();
+        assert!(sum.abs() < 1e-9, "{sum}");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        assert_eq!(pool.install(run), run());
+    }
+}

@@ -223,3 +223,91 @@ fn median(mut values: Vec<f32>) -> f32 {
     let middle = values.len() / 2;
     *values.select_nth_unstable_by(middle, f32::total_cmp).1
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A unit sphere by latitude and longitude: slivers at the poles, all edges of different lengths.
+    fn globe(rings: u32, sectors: u32) -> Mesh {
+        let mut positions = vec![Vec3::Z, Vec3::NEG_Z];
+        for r in 1..rings {
+            let (s, c) = libm::sincosf(std::f32::consts::PI * r as f32 / rings as f32);
+            for k in 0..sectors {
+                let (sa, ca) = libm::sincosf(std::f32::consts::TAU * k as f32 / sectors as f32);
+                positions.push(Vec3::new(s * ca, s * sa, c));
+            }
+        }
+        let at = |r: u32, k: u32| 2 + (r - 1) * sectors + k % sectors;
+        let mut triangles = Vec::new();
+        for k in 0..sectors {
+            triangles.push([0, at(1, k), at(1, k + 1)]);
+            triangles.push([1, at(rings - 1, k + 1), at(rings - 1, k)]);
+            for r in 1..rings - 1 {
+                triangles.push([at(r, k), at(r + 1, k), at(r + 1, k + 1)]);
+                triangles.push([at(r, k), at(r + 1, k + 1), at(r, k + 1)]);
+            }
+        }
+        Mesh { normals: positions.clone(), positions, triangles }
+    }
+
+    /// Vertices − edges + triangles, and the number of edges that have not two triangles.
+    fn topology(mesh: &Mesh) -> (i64, usize) {
+        let mut edges = std::collections::BTreeMap::new();
+        for t in &mesh.triangles {
+            for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+                *edges.entry((a.min(b), a.max(b))).or_insert(0) += 1;
+            }
+        }
+        let euler = mesh.positions.len() as i64 - edges.len() as i64 + mesh.triangles.len() as i64;
+        (euler, edges.values().filter(|n| **n != 2).count())
+    }
+
+    #[test]
+    fn slivers_go_and_the_surface_stays() {
+        let globe = globe(60, 160);
+        let mesh = regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(topology(&mesh), (2, 0), "a closed sphere stays one");
+        let target = median(edge_lengths(&globe));
+        let mut lengths = edge_lengths(&mesh);
+        lengths.sort_by(f32::total_cmp);
+        let (low, high) = (lengths[lengths.len() / 50], lengths[lengths.len() - lengths.len() / 50]);
+        assert!(low > 0.6 * target && high < 1.5 * target, "{low} … {high} around {target}");
+        for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+            assert!((p.length() - 1.0).abs() < 2e-3, "off the sphere by {}", p.length() - 1.0);
+            assert!(n.dot(p.normalize()) > 0.99);
+        }
+        assert_eq!(mesh, regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion));
+    }
+
+    #[test]
+    fn imported_and_regular_meshes_keep_their_vertices() {
+        let mut imported = globe(20, 40);
+        imported.triangles.push([3, 3, 4]);
+        let kept = regularise(&imported, &EstimatorConfig::default(), ScanSource::Photos);
+        assert_eq!(kept.positions, imported.positions);
+        assert_eq!(kept.triangles.len(), imported.triangles.len() - 1);
+        let regular = regularise(&globe(60, 160), &EstimatorConfig::default(), ScanSource::Fusion);
+        let again = regularise(&regular, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(again.positions, regular.positions);
+    }
+
+    #[test]
+    fn specks_go_and_seams_are_welded() {
+        let mut mesh = globe(60, 160);
+        let n = mesh.positions.len() as u32;
+        // A speck, and a copy of the sphere's first cap on vertices of its own.
+        mesh.positions.extend([Vec3::splat(3.0), Vec3::splat(3.1), Vec3::new(3.0, 3.1, 3.0)]);
+        mesh.normals.extend([Vec3::Z; 3]);
+        mesh.triangles.push([n, n + 1, n + 2]);
+        let corners = mesh.triangles[0];
+        for c in corners {
+            mesh.positions.push(mesh.positions[c as usize]);
+            mesh.normals.push(mesh.normals[c as usize]);
+        }
+        mesh.triangles[0] = [n + 3, n + 4, n + 5];
+        let out = regularise(&mesh, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(topology(&out), (2, 0));
+        assert!(out.positions.iter().all(|p| p.length() < 1.1));
+    }
+}

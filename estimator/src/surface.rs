@@ -68,12 +68,16 @@ impl Surface {
     /// Collapses edges shorter than `shortest` where that keeps the surface's topology and turns no triangle over, and
     /// makes no edge longer than `longest`.
     pub fn collapse_short(&mut self, shortest: f32, longest: f32) {
-        for t in 0..self.triangles.len() {
-            let Some(c) = self.triangles[t] else { continue };
-            for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
-                if self.length(a, b) < shortest && self.collapse(a, b, longest) {
-                    break;
-                }
+        // A pass at least halves a fan of needles.
+        for _ in 0..8 {
+            let mut collapsed = false;
+            for t in 0..self.triangles.len() {
+                let Some(c) = self.triangles[t] else { continue };
+                let mut edges = [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])].into_iter();
+                collapsed |= edges.any(|(a, b)| self.length(a, b) < shortest && self.collapse(a, b, longest));
+            }
+            if !collapsed {
+                break;
             }
         }
     }
@@ -265,10 +269,15 @@ fn runs_along(t: [u32; 3], a: u32, b: u32) -> bool {
     (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b)
 }
 
-/// A moved triangle still looks the same way and is no sliver.
+/// A moved triangle still looks the same way and is not much more of a sliver.
 fn keeps_side(old: [Vec3; 3], new: [Vec3; 3]) -> bool {
     let (before, after) = (normal(old), normal(new));
-    let longest = (new[1] - new[0]).length_squared().max((new[2] - new[1]).length_squared());
-    let longest = longest.max((new[0] - new[2]).length_squared());
-    after.length() > 0.1 * longest && before.normalize_or_zero().dot(after.normalize_or_zero()) > 0.7
+    let same_way = before.normalize_or_zero().dot(after.normalize_or_zero()) > 0.7;
+    same_way && roundness(new) > 0.7 * roundness(old).min(0.2)
+}
+
+/// Twice the area over the longest edge squared: √3/2 for an equilateral triangle, 0 for a needle.
+fn roundness(t: [Vec3; 3]) -> f32 {
+    let longest = t[0].distance_squared(t[1]).max(t[1].distance_squared(t[2])).max(t[2].distance_squared(t[0]));
+    normal(t).length() / longest.max(f32::MIN_POSITIVE)
 }
