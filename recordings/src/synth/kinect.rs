@@ -6,7 +6,8 @@ use super::random::Rng;
 use super::render::{self, Exposure, Shading};
 use super::scene::Scene;
 use crate::types::{
-    Accelerometer, CameraModel, DepthFrame, Distortion, Intrinsics, Pose, Response, RgbImage, Sensor, TimestampNs,
+    Accelerometer, CameraModel, ColorEncoding, ColorFrame, DepthFrame, Distortion, Intrinsics, Pose, Response,
+    RgbImage, RgbdFrame, Sensor, TimestampNs,
 };
 use glam::DVec3;
 
@@ -52,6 +53,22 @@ pub struct Frame {
     pub world_from_camera: Pose,
     /// True gain of the colour frame.
     pub gain: Gain,
+}
+
+impl Frame {
+    /// The frame as fusion takes it, colour uncompressed.
+    #[must_use]
+    pub fn into_rgbd(self) -> RgbdFrame {
+        let color = ColorFrame {
+            timestamp_ns: self.color_timestamp_ns,
+            width: self.rgb.width,
+            height: self.rgb.height,
+            encoding: ColorEncoding::Rgb,
+            bytes: self.rgb.data.clone(),
+            missing_packets: 0,
+        };
+        RgbdFrame { depth: self.depth, color, rgb: self.rgb }
+    }
 }
 
 impl Kinect {

@@ -3,6 +3,15 @@
 //!
 //! A [`scene::Scene`] is lit by an [`environment::Environment`]; [`render`] makes linear pictures and depth of it,
 //! [`color_sensor`] and [`depth_sensor`] turn those into what a Kinect V1 would have delivered along a [`path::Arc`].
+//!
+//! ```
+//! use recordings::synth::{kinect::Kinect, render::Shading, scenes};
+//!
+//! let (scene, mut kinect) = (scenes::room(), Kinect::new(8, 1, 1));
+//! kinect.samples = 1;
+//! let frame = kinect.frame(&scene, Shading::Flat, 0, &|time_s| scenes::room_tour(time_s, 24.0)).into_rgbd();
+//! assert_eq!((frame.rgb.width, frame.depth.width), (80, 80));
+//! ```
 
 pub mod bvh;
 pub mod cache;
