@@ -1,7 +1,7 @@
 //! The bundled data are whole, agree with their truth, and stay small.
 
 use recordings::recording::{Event, RecordingKind, RecordingReader};
-use recordings::synth::tabletop;
+use recordings::synth::{render, tabletop};
 use recordings::types::Pose;
 use std::path::{Path, PathBuf};
 
@@ -90,4 +90,36 @@ fn the_tiny_recording_is_whole() {
     assert_eq!((stamps.len(), depth_frames), (6, 6));
     assert!(least > 0.4, "a depth frame is only {least} full");
     assert!(size(&data().join("tiny.lrec")) <= 300_000);
+}
+
+#[test]
+fn depth_shows_the_scene_from_the_true_poses() {
+    let scene = tabletop::tabletop(0.008);
+    let arc = tabletop::arc();
+    let mut reader = RecordingReader::open(&data().join("tabletop.lrec")).unwrap();
+    let camera = reader.sensor().depth.intrinsics;
+    let (mut start, mut index) = (None, 0);
+    while let Some(event) = reader.next_event().unwrap() {
+        if let Event::Color(color) = &event {
+            start.get_or_insert(color.timestamp_ns);
+        }
+        let (Event::Depth(frame), Some(start)) = (event, start) else { continue };
+        index += 1;
+        if index % 28 != 1 {
+            continue;
+        }
+        let pose = arc.pose((frame.timestamp_ns - start) as f64 * 1e-9);
+        let truth = render::depth(&scene, &camera, &pose, 2);
+        let mut errors: Vec<f64> = frame
+            .depth
+            .iter()
+            .zip(&truth.data)
+            .filter(|(d, t)| **d > 0 && **t > 0.0)
+            .map(|(d, t)| (f64::from(*d) * 1e-3 - f64::from(*t)).abs())
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        let (median, high) = (errors[errors.len() / 2], errors[errors.len() * 95 / 100]);
+        assert!(median < 0.0016 && high < 0.006, "frame {index}: median {median} m, 95 % {high} m");
+    }
+    assert_eq!(index, 84);
 }
