@@ -181,7 +181,7 @@ fn drop_vertices(scene: &mut Scene, light: Vec<Vec3>, dropped: impl Fn(Vec3) -> 
 }
 
 fn rounded(x: f32) -> f64 {
-    (f64::from(x) * 1e6).round() * 1e-6
+    (f64::from(x) * 1e6).round() / 1e6
 }
 
 fn write_json(path: &Path, value: &serde_json::Value) -> Result<(), Box<dyn Error>> {

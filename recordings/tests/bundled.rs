@@ -1,4 +1,5 @@
 //! The bundled data are whole, agree with their truth, and stay small.
+#![allow(clippy::unwrap_used)]
 
 use recordings::recording::{Event, RecordingKind, RecordingReader};
 use recordings::synth::{render, tabletop};
@@ -82,6 +83,12 @@ fn the_tabletop_recording_is_whole_and_its_truth_fits() {
     let light: serde_json::Value =
         serde_json::from_slice(&std::fs::read(truth.join("lighting_sh.json")).unwrap()).unwrap();
     assert_eq!(light["coefficients"].as_array().unwrap().len(), 81);
+    let materials: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(truth.join("materials.json")).unwrap()).unwrap();
+    let materials = materials["materials"].as_array().unwrap();
+    assert_eq!(materials.len(), tabletop::tabletop(0.012).parts.len());
+    assert!(materials.iter().all(|m| m["vertices"].as_u64().unwrap() > 100));
+    assert!(truth.join("mesh.ply").is_file());
 }
 
 #[test]
