@@ -27,6 +27,8 @@ section! {
         min_weight: f64 = 3.0, [0.0..=64.0], "frames", "";
         /// Connected pieces of the mesh with fewer triangles are dropped.
         min_component_triangles: u32 = 200, [0..=1000000], "triangles", "";
+        /// Work that a frame may cost, in CPU time of the reference machine of fusion/README.md: tracking is coarsened to fit, integration never. 0 = no limit.
+        max_cpu_ms_per_frame: f64 = 0.0, [0.0..=1000.0], "ms", "";
         /// Weight of the photometric term of tracking against the geometric one.
         photometric_weight: f64 = 1.0, [0.0..=100.0], "", "";
         /// Standard deviation of a grey value, of 255, for the photometric term.

@@ -237,7 +237,7 @@ fn report_mesh(dir: &Path, ours: &[(Vec3, Vec3)], truth: &[(Vec3, Vec3)]) -> Res
     Ok(())
 }
 
-/// The truth's vertices that at least five frames measured: a depth within 1 cm at their pixel.
+/// The truth's vertices that at least five frames faced and measured: a depth within 1 cm at their pixel.
 fn seen_vertices(dir: &Path, truth: &[(Vec3, Vec3)]) -> Result<Vec<(Vec3, Vec3)>> {
     let (sensor, pairs) = read_pairs(dir)?;
     let poses = ground_truth(dir)?;
@@ -245,7 +245,10 @@ fn seen_vertices(dir: &Path, truth: &[(Vec3, Vec3)]) -> Result<Vec<(Vec3, Vec3)>
     let mut count = vec![0u32; truth.len()];
     for (depth, color) in pairs.iter().step_by(3) {
         let Some((p, q)) = at_time(&poses, color.timestamp_ns as f64 * 1e-9) else { continue };
-        for ((v, _), n) in truth.iter().zip(&mut count) {
+        for ((v, normal), n) in truth.iter().zip(&mut count) {
+            if (p - v.as_dvec3()).dot(normal.as_dvec3()) <= 0.0 {
+                continue;
+            }
             let x = q.conjugate() * (v.as_dvec3() - p);
             let (u, w) = ((k.fx * x.x / x.z + k.cx).round(), (k.fy * x.y / x.z + k.cy).round());
             if x.z > 0.1 && u >= 0.0 && w >= 0.0 && u < f64::from(k.width) && w < f64::from(k.height) {

@@ -26,6 +26,15 @@ pub struct Integrator {
     recent: Vec<BlockCoord>,
 }
 
+/// What integration did.
+#[derive(Debug, Clone, Copy)]
+pub struct Integrated {
+    /// Blocks averaged with the frame.
+    pub blocks: usize,
+    /// Blocks that were wanted and not to be had.
+    pub refused: u64,
+}
+
 impl Integrator {
     /// For a volume of `blocks` slots.
     pub fn new(config: &FusionConfig) -> Self {
@@ -38,26 +47,30 @@ impl Integrator {
         }
     }
 
-    /// Averages a depth image (metres, row-major, 0 = none) seen from `world_from_depth` into the volume; returns how
-    /// many blocks were wanted and not to be had.
-    pub fn integrate(&mut self, volume: &mut Volume, rig: &Rig, depth: &[f32], world_from_depth: &Pose) -> u64 {
+    /// Averages a depth image (metres, row-major, 0 = none) seen from `world_from_depth` into the volume.
+    pub fn integrate(&mut self, volume: &mut Volume, rig: &Rig, depth: &[f32], world_from_depth: &Pose) -> Integrated {
         self.frame = self.frame.wrapping_add(1);
         let refused = self.allocate(volume, &rig.depth, depth, world_from_depth);
         self.mark_free_space(volume, &rig.depth, depth, world_from_depth);
         let kernel = Kernel::new(&rig.depth, &world_from_depth.inverse(), volume, self.max_weight);
         let (frame, isa, stamp) = (self.frame, self.isa, &self.stamp);
         let (sdf, weight, coords) = volume.pool_mut();
-        sdf.par_chunks_mut(SLOTS_PER_TASK * VOXELS)
+        let blocks = sdf
+            .par_chunks_mut(SLOTS_PER_TASK * VOXELS)
             .zip(weight.par_chunks_mut(SLOTS_PER_TASK * VOXELS))
             .zip(stamp.par_chunks(SLOTS_PER_TASK).zip(coords.par_chunks(SLOTS_PER_TASK)))
-            .for_each(|((sdf, weight), (stamp, coords))| {
+            .map(|((sdf, weight), (stamp, coords))| {
+                let mut blocks = 0;
                 for (i, _) in stamp.iter().enumerate().filter(|(_, s)| **s == frame) {
                     let at = i * VOXELS..(i + 1) * VOXELS;
                     let (sdf, weight) = (&mut sdf[at.clone()], &mut weight[at]);
                     dispatch(isa, || kernel.block(depth, coords[i], sdf, weight));
+                    blocks += 1;
                 }
-            });
-        refused
+                blocks
+            })
+            .sum();
+        Integrated { blocks, refused }
     }
 
     /// Takes blocks along each ray from truncation before to truncation behind the measured depth.

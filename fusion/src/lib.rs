@@ -1,6 +1,7 @@
 //! Tracking, bounded TSDF fusion, meshing and greedy keyframes (§3.1, first half).
 
 mod camera;
+mod effort;
 mod extract;
 mod integrate;
 mod isa;
@@ -21,7 +22,7 @@ use pyramid::Frame;
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose, RgbdFrame, Sensor, TimestampNs};
 use relocalise::Anchors;
-use track::{Alignment, Geometry, Reference, Scene, Step, Tracker};
+use track::{Alignment, Reference, Scene, Tracker};
 use volume::Volume;
 
 /// Why fusion could not go on.
@@ -85,22 +86,6 @@ const MAX_STAMP_GAP_S: f64 = 0.1;
 /// Anchors tried per frame when lost.
 const RELOCALISATION_TRIES: usize = 3;
 
-/// Frame to frame: coarse, wide.
-const COARSE: [Step; 2] = [
-    Step { level: 2, geometry: Geometry::Reference, rounds: 3, cut: 12.0 },
-    Step { level: 1, geometry: Geometry::Reference, rounds: 1, cut: 6.0 },
-];
-/// Frame to anchor and model: fine.
-const FINE: [Step; 2] = [
-    Step { level: 1, geometry: Geometry::Volume { stride: 2 }, rounds: 1, cut: 6.0 },
-    Step { level: 0, geometry: Geometry::Volume { stride: 1 }, rounds: 3, cut: 4.0 },
-];
-/// Frame to anchor when lost: coarse, from further away.
-const FIND: [Step; 2] = [
-    Step { level: 2, geometry: Geometry::Reference, rounds: 8, cut: 20.0 },
-    Step { level: 1, geometry: Geometry::Reference, rounds: 4, cut: 8.0 },
-];
-
 /// Fuses RGB-D frames into a surface.
 pub struct Fusion {
     config: FusionConfig,
@@ -113,6 +98,8 @@ pub struct Fusion {
     last: Frame,
     reference: Reference,
     last_stamp: TimestampNs,
+    /// Blocks that the last tracked frame was integrated into.
+    last_blocks: usize,
     /// Twist of the camera (translation, rotation) per second, camera axes.
     velocity: Vector6<f64>,
     anchors: Anchors,
@@ -141,6 +128,7 @@ impl Fusion {
             last: Frame::new(&rig),
             reference: Reference::default(),
             last_stamp: 0,
+            last_blocks: 0,
             velocity: Vector6::zeros(),
             anchors: Anchors::new(config.max_anchors as usize),
             anchor: 0,
@@ -187,10 +175,12 @@ impl Fusion {
         self.hold(&pose, stamp);
         // Depth into the volume.
         let world_from_depth = pose.compose(&self.frame.color_from_depth_time).compose(&self.rig.color_from_depth);
-        let refused = stage("integrate", || {
+        let integrated = stage("integrate", || {
             self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth)
         });
-        self.stats.blocks_refused += refused;
+        self.stats.blocks_refused += integrated.refused;
+        self.last_blocks = integrated.blocks;
+        tracing::debug!(blocks = integrated.blocks, "integrated");
         let coarsened = self.make_room();
         // What the next frames are tracked against.
         stage("remember", || self.remember(&pose));
@@ -273,6 +263,7 @@ impl Fusion {
         let dt = seconds(self.last_stamp, stamp);
         let motion = if dt <= MAX_PREDICTION_S { self.velocity * dt } else { Vector6::zeros() };
         let predicted = last.compose(&track::exp(&motion));
+        let effort = effort::choose(&self.config, self.last_blocks, self.frame.valid);
         let mut tracker = std::mem::take(&mut self.tracker);
 
         let turn = predicted.rotation.conjugate() * last.rotation;
@@ -282,11 +273,11 @@ impl Fusion {
         }
         let coarse = starts
             .iter()
-            .map(|start| tracker.align(&self.scene(&self.reference), start, &predicted, &COARSE))
+            .map(|start| tracker.align(&self.scene(&self.reference), start, &predicted, effort.coarse))
             .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
         let fine = coarse.and_then(|coarse| {
             let anchor = &self.anchors.get(self.anchor)?.reference;
-            Some((coarse, tracker.align(&self.scene(anchor), &coarse.world_from_camera, &predicted, &FINE)))
+            Some((coarse, tracker.align(&self.scene(anchor), &coarse.world_from_camera, &predicted, effort.fine)))
         });
         self.tracker = tracker;
         let (coarse, fine) = fine?;
@@ -312,13 +303,14 @@ impl Fusion {
         let mut tries = vec![self.anchor];
         tries.extend(self.anchors.alike(&self.frame, RELOCALISATION_TRIES));
         let mut best: Option<(Alignment, usize)> = None;
+        let best_effort = effort::choose(&FusionConfig::default(), 0, 1.0);
         for i in tries {
             let Some(anchor) = self.anchors.get(i) else { continue };
             let scene = self.scene(&anchor.reference);
             let start = anchor.reference.world_from_camera;
-            let coarse = tracker.align(&scene, &start, &start, &FIND);
+            let coarse = tracker.align(&scene, &start, &start, &effort::FIND);
             let start = coarse.world_from_camera;
-            let fine = tracker.align(&scene, &start, &start, &FINE);
+            let fine = tracker.align(&scene, &start, &start, best_effort.fine);
             tracing::debug!(i, ?coarse, ?fine, "relocalisation");
             if best.as_ref().is_none_or(|(b, _)| fine.misfit() < b.misfit()) {
                 best = Some((fine, i));

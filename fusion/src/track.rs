@@ -348,7 +348,7 @@ pub enum Geometry {
 }
 
 /// One step of a coarse-to-fine schedule.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// Pyramid level of the photometric term.
     pub level: usize,
