@@ -2,6 +2,7 @@
 //!
 //! On a terminal a progress bar; elsewhere plain log lines; with `--json` one JSON object a line.
 
+use crate::memory;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 use std::io::{IsTerminal, Write};
@@ -121,6 +122,9 @@ impl Reporter {
             _ => {}
         }
         if new {
+            if let Some(peak) = memory::peak_bytes().filter(|_| state.stage_started.is_some()) {
+                tracing::debug!("{} done, peak memory {} MiB", state.stage, peak >> 20);
+            }
             state.end_stage();
             state.stage.clone_from(&step.stage);
             state.stage_started = Some(Instant::now());

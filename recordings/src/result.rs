@@ -22,6 +22,9 @@ const KNOWN: &[(Tag, u32)] = &[(HEAD, 1 << 26), (LIGHT, 1 << 24), (TRIANGLES, 1 
 /// Rows of coefficients at nine bands.
 const MAX_COEFFICIENTS: usize = 81;
 
+/// Beginning of a cut that was not planned: a stage that the budget ended half-way.
+pub const ABANDONED: &str = "abandoned: ";
+
 /// Distant light as real orthonormal spherical harmonics (no Condon–Shortley phase, index `l*(l+1)+m`, world axes):
 /// radiance towards the surface from direction ω is `Σ_k coefficients[k] Y_k(ω)`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -129,7 +132,8 @@ pub struct Estimate {
     pub transfer: String,
     /// What was decided, and why.
     pub decisions: Vec<Decision>,
-    /// What was cut for the budget; empty if nothing.
+    /// What was cut for the budget; empty if nothing. A stage that had to be given up half-way begins with
+    /// [`ABANDONED`].
     pub cuts: Vec<String>,
     /// Things the user should know ("light_not_distant: …", "one keyframe: …").
     pub warnings: Vec<String>,

@@ -8,6 +8,7 @@ use crate::memory;
 use crate::report::Reporter;
 use estimator::{EstimateError, Options};
 use firmware_config::Config;
+use recordings::result::ABANDONED;
 use recordings::scan::Scan;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -41,18 +42,32 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     for cut in &result.cuts {
         tracing::warn!("cut for the budget: {cut}");
     }
+    let seconds = started.elapsed().as_secs_f64();
+    if args.effort.rounds.is_none() && seconds > args.effort.budget {
+        tracing::warn!("took {seconds:.0} s, more than the budget of {:.0} s", args.effort.budget);
+    }
     if json {
         print_json(&Summary {
             result: output.display().to_string(),
             vertices: result.mesh.positions.len(),
-            seconds: started.elapsed().as_secs_f64(),
+            seconds,
             stages: reporter.stages(),
             memory_peak_bytes: memory::peak_bytes(),
         })?;
     } else {
         print(&output.display().to_string())?;
     }
-    Ok(())
+    abandoned(&result.cuts)
+}
+
+/// A planned cut is a decision; a stage that had to be given up half-way is not.
+fn abandoned(cuts: &[String]) -> Result<(), Failure> {
+    let stages: Vec<&str> = cuts.iter().filter_map(|c| c.strip_prefix(ABANDONED)).collect();
+    if stages.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Abandoned(format!("abandoned for the budget: {}", stages.join(", "))))
+    }
 }
 
 /// `result.lres` for `scan.lscan`, as in the device folder; otherwise of the same stem.
@@ -61,5 +76,25 @@ fn beside(scan: &Path) -> PathBuf {
         scan.with_file_name("result.lres")
     } else {
         scan.with_extension("lres")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_abandoned_stages_are_a_failure() {
+        assert!(abandoned(&["rays: 32 instead of 128".into()]).is_ok());
+        let failure =
+            abandoned(&["rays: 32".into(), format!("{ABANDONED}specular after 3 of 9 segments")]).unwrap_err();
+        assert_eq!(failure.code(), 5);
+        assert!(failure.to_string().contains("specular after 3 of 9 segments"));
+    }
+
+    #[test]
+    fn results_stand_beside_their_scans() {
+        assert_eq!(beside(Path::new("a/scan.lscan")), Path::new("a/result.lres"));
+        assert_eq!(beside(Path::new("a/ball.lscan")), Path::new("a/ball.lres"));
     }
 }
