@@ -41,22 +41,25 @@ const POLL: Duration = Duration::from_millis(20);
 /// Last lines of its stderr that are kept for the message.
 const KEPT_LINES: usize = 4;
 
-/// Estimates `scan` into `result`, passing progress on.
+/// Estimates `folder`'s `scan.lscan` into `result.lres` and `preview.png`, passing progress on.
 ///
 /// # Errors
 /// The child could not be started, or a signal came (the child is ended then). What becomes of the child itself is told
 /// in [`Ended`].
 pub fn estimate(
-    scan: &Path,
-    result: &Path,
+    folder: &Path,
     effort: &Effort,
     stop: &Stop,
     reporter: &Reporter,
 ) -> Result<Ended, Failure> {
     let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
-    command.args(["--json", "estimate"]).arg(scan).arg("-o").arg(result);
+    command.args(["--json", "estimate"]).arg(folder.join("scan.lscan"));
+    command.arg("-o").arg(folder.join("result.lres")).arg("--preview").arg(folder.join("preview.png"));
     command.arg("--budget").arg(effort.budget.to_string());
+    if reporter.verbose() {
+        command.arg("--verbose");
+    }
     if let Some(n) = effort.rounds {
         command.arg("--rounds").arg(n.to_string());
     }

@@ -125,6 +125,9 @@ pub struct Estimate {
     /// The result [default: beside the scan; result.lres for scan.lscan, otherwise of the same stem].
     #[arg(short, long, value_name = "RESULT")]
     pub output: Option<PathBuf>,
+    /// Draw the preview sheet of the result, too (what `replay` publishes as preview.png).
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub preview: Option<PathBuf>,
     /// Effort.
     #[command(flatten)]
     pub effort: Effort,

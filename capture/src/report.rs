@@ -37,6 +37,7 @@ pub struct Step {
 /// Shows the progress of one command.
 pub struct Reporter {
     form: Form,
+    verbose: bool,
     bar: ProgressBar,
     state: Mutex<State>,
 }
@@ -84,7 +85,13 @@ impl Reporter {
             }
             _ => tracing::subscriber::set_global_default(lines.with_ansi(color).without_time().finish()),
         };
-        Self { form, bar, state: Mutex::default() }
+        Self { form, verbose, bar, state: Mutex::default() }
+    }
+
+    /// True if more log lines are wanted.
+    #[must_use]
+    pub fn verbose(&self) -> bool {
+        self.verbose
     }
 
     /// From now on the time left is shown.
@@ -122,9 +129,6 @@ impl Reporter {
             _ => {}
         }
         if new {
-            if let Some(peak) = memory::peak_bytes().filter(|_| state.stage_started.is_some()) {
-                tracing::debug!("{} done, peak memory {} MiB", state.stage, peak >> 20);
-            }
             state.end_stage();
             state.stage.clone_from(&step.stage);
             state.stage_started = Some(Instant::now());
@@ -162,6 +166,9 @@ impl State {
 
 impl estimator::Progress for Reporter {
     fn stage(&self, name: &'static str, fraction: f64) {
+        if fraction == 0.0 {
+            tracing::debug!("{name} begins, peak memory {} MiB", memory::peak_bytes().unwrap_or(0) >> 20);
+        }
         self.step(&Step { stage: name.to_owned(), fraction: Some(fraction), detail: String::new() });
     }
 }

@@ -36,11 +36,9 @@ const FAINT: [u8; 3] = [150, 155, 165];
 /// # Errors
 /// There is no keyframe to look from, or its picture cannot be decoded.
 pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
-    let best = result.keyframes.iter().max_by(|a, b| {
-        let coverage = |k| View::new(result, k, THUMBNAIL).coverage();
-        coverage(*a).total_cmp(&coverage(*b))
-    });
-    let keyframe = best.ok_or("the result has no keyframe to look from")?;
+    let coverage = |k| View::new(result, k, THUMBNAIL).coverage();
+    let best = result.keyframes.iter().map(|k| (coverage(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, keyframe) = best.ok_or("the result has no keyframe to look from")?;
     let photo =
         scan.keyframes.iter().find(|k| k.name == keyframe.name).ok_or("the scan lacks the result's keyframe")?;
     let photo = photo.color.decode().map_err(|e| format!("keyframe {}: {e}", keyframe.name))?;

@@ -3,10 +3,11 @@
 use super::{check_parent, print, print_json, use_threads};
 use crate::child::Summary;
 use crate::cli;
+use crate::device;
 use crate::failure::Failure;
 use crate::memory;
 use crate::report::Reporter;
-use estimator::{EstimateError, Options};
+use estimator::{EstimateError, Options, Progress};
 use firmware_config::Config;
 use recordings::result::ABANDONED;
 use recordings::scan::Scan;
@@ -34,6 +35,12 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
         EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
     })?;
     result.write(&output).map_err(|e| Failure::Internal(e.to_string()))?;
+    let seconds = started.elapsed().as_secs_f64();
+    if let Some(path) = &args.preview {
+        reporter.stage("preview", 0.0);
+        let png = estimator::preview::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
+        device::write_file(path, &png)?;
+    }
     reporter.clear();
 
     for warning in &result.warnings {
@@ -42,7 +49,6 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     for cut in &result.cuts {
         tracing::warn!("cut for the budget: {cut}");
     }
-    let seconds = started.elapsed().as_secs_f64();
     if args.effort.rounds.is_none() && seconds > args.effort.budget {
         tracing::warn!("took {seconds:.0} s, more than the budget of {:.0} s", args.effort.budget);
     }

@@ -12,7 +12,6 @@ use crate::source::Pairs;
 use crate::stop::Stop;
 use crate::{memory, trajectory};
 use recordings::result::Estimate;
-use recordings::scan::Scan;
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -49,27 +48,26 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
     failure.map_or(Ok(()), Err)
 }
 
-/// Runs the estimator and draws the preview. The scan is worth publishing whatever becomes of them: the manifest says
-/// what did.
+/// Runs the estimator. The scan is worth publishing whatever becomes of it: the manifest says what did.
 fn estimate(
     folder: &Path,
     effort: &cli::Effort,
     stop: &Stop,
     reporter: &Reporter,
 ) -> Result<(EstimatorEntry, Option<Failure>), Failure> {
-    let (scan, result) = (folder.join("scan.lscan"), folder.join("result.lres"));
     if effort.rounds.is_none() {
         reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
     }
-    let Ended { summary, mut failure } = child::estimate(&scan, &result, effort, stop, reporter)?;
+    let Ended { summary, mut failure } = child::estimate(folder, effort, stop, reporter)?;
     let mut entry = EstimatorEntry { outcome: "failed", ..EstimatorEntry::default() };
     if let Some(summary) = summary {
         entry.seconds = summary.stages;
         entry.seconds.push(("total".into(), summary.seconds));
         entry.memory_peak_bytes = summary.memory_peak_bytes;
     }
+    let result = folder.join("result.lres");
     if result.exists() {
-        match preview(&scan, &result, &folder.join("preview.png")) {
+        match Estimate::read(&result) {
             Ok(estimate) => {
                 entry.outcome = if failure.is_none() { "done" } else { "partial" };
                 entry.vertices = estimate.mesh.positions.len();
@@ -77,18 +75,11 @@ fn estimate(
                 entry.cuts = estimate.cuts;
                 entry.warnings = estimate.warnings;
             }
-            Err(e) => failure = failure.or(Some(e)),
+            Err(e) => failure = failure.or(Some(Failure::Internal(e.to_string()))),
         }
     }
     entry.problem = failure.as_ref().map(ToString::to_string);
     Ok((entry, failure))
-}
-
-fn preview(scan: &Path, result: &Path, output: &Path) -> Result<Estimate, Failure> {
-    let estimate = Estimate::read(result)?;
-    let png = estimator::preview::sheet(&Scan::read(scan)?, &estimate).map_err(|e| Failure::writing(output, e))?;
-    device::write_file(output, &png)?;
-    Ok(estimate)
 }
 
 fn capture_entry(source: &Path, captured: Captured) -> CaptureEntry {
