@@ -46,12 +46,7 @@ const KEPT_LINES: usize = 4;
 /// # Errors
 /// The child could not be started, or a signal came (the child is ended then). What becomes of the child itself is told
 /// in [`Ended`].
-pub fn estimate(
-    folder: &Path,
-    effort: &Effort,
-    stop: &Stop,
-    reporter: &Reporter,
-) -> Result<Ended, Failure> {
+pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<Ended, Failure> {
     let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
     command.args(["--json", "estimate"]).arg(folder.join("scan.lscan"));
