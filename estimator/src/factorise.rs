@@ -8,16 +8,15 @@ use glam::Vec3;
 
 /// Albedo before anything is known of it (a0 of Eq. 10).
 const MID_GREY: f32 = 0.5;
-/// The free factor per channel: so that this share of the seen vertices has a segment albedo …
-const SCALE_PERCENTILE: f64 = 0.9;
-/// … of at most this.
-const SCALE_ALBEDO: f64 = 0.7;
+/// The free factor per channel is fixed by the brightest segment of at least this share of the seen vertices …
+const SCALE_SHARE: f64 = 0.02;
+/// … which gets this albedo.
+const SCALE_ALBEDO: f64 = 0.75;
 /// Rounds of solving and bouncing anew with the albedo found.
 const BLEEDING_ROUNDS: usize = 3;
 
 /// The rule that [`factorise`] fixes the free factor by, in words.
-pub const SCALE_RULE: &str =
-    "per channel, the 90th percentile over seen vertices of the segment albedo is 0.7; light carries the rest";
+pub const SCALE_RULE: &str = "per channel, the brightest segment with at least 2 % of the seen vertices has albedo 0.75";
 
 /// The answer of the factorisation.
 #[derive(Debug)]
@@ -92,16 +91,11 @@ fn fix_scale(solution: &mut Solution, colors: &Colors) {
             seen[*segment as usize] += 1.0;
         }
     }
+    let total: f64 = seen.iter().sum();
     for c in 0..3 {
-        let mut order: Vec<usize> = (0..colors.segments).collect();
-        order.sort_by(|a, b| solution.albedo[*a][c].total_cmp(&solution.albedo[*b][c]));
-        let total: f64 = seen.iter().sum();
-        let mut sum = 0.0;
-        let reference = order.iter().find(|s| {
-            sum += seen[**s];
-            sum >= SCALE_PERCENTILE * total
-        });
-        let factor = reference.map_or(1.0, |s| SCALE_ALBEDO / solution.albedo[*s][c]);
+        let large = |s: &usize| seen[*s] >= SCALE_SHARE * total && seen[*s] > 0.0;
+        let brightest = (0..colors.segments).filter(large).map(|s| solution.albedo[s][c]).fold(0.0, f64::max);
+        let factor = SCALE_ALBEDO / brightest;
         if factor.is_finite() && factor > 0.0 {
             solution.albedo.iter_mut().for_each(|a| a[c] *= factor);
             let light = solution.light.iter_mut().chain(&mut solution.standard_deviation).chain(&mut solution.radiance);
