@@ -12,11 +12,12 @@ const MID_GREY: f32 = 0.5;
 const SCALE_SHARE: f64 = 0.02;
 /// … which gets this albedo.
 const SCALE_ALBEDO: f64 = 0.75;
-/// Rounds of solving and bouncing anew with the albedo found.
-const BLEEDING_ROUNDS: usize = 3;
+/// Bands of the first solution, whose albedo is only there to bounce light.
+const FIRST_BANDS: usize = 4;
 
 /// The rule that [`factorise`] fixes the free factor by, in words.
-pub const SCALE_RULE: &str = "per channel, the brightest segment with at least 2 % of the seen vertices has albedo 0.75";
+pub const SCALE_RULE: &str =
+    "per channel, the brightest segment with at least 2 % of the seen vertices has albedo 0.75";
 
 /// The answer of the factorisation.
 #[derive(Debug)]
@@ -44,27 +45,32 @@ pub struct Colors<'a> {
     pub segments: usize,
 }
 
-/// Factorises lit colours. `gi` models interreflection.
+/// Factorises lit colours. `gi` models interreflection. Goes on from `start` where an earlier answer stands.
 #[must_use]
-pub fn factorise(traced: Traced, colors: &Colors, gi: bool, bands: usize, config: &EstimatorConfig) -> Factorised {
-    let count = colors.lit_color.len();
+pub fn factorise(
+    traced: Traced,
+    colors: &Colors,
+    gi: bool,
+    bands: usize,
+    config: &EstimatorConfig,
+    start: Option<(Solution, Detail)>,
+) -> Factorised {
     let transfer_error = relative_error(&traced);
     let mut transfer = Transfer { traced, bounced: None };
-    let mut albedo = vec![Vec3::splat(MID_GREY); count];
-    let rounds = if gi { BLEEDING_ROUNDS } else { 1 };
-    let mut round = 0;
-    loop {
+    let bounce = |transfer: &mut Transfer, albedo: &[Vec3]| {
         if gi {
-            transfer.bounced = Some(transfer::bounce(&transfer.traced, &albedo, config.bounces)); // Eq. (8)
+            transfer.bounced = Some(transfer::bounce(&transfer.traced, albedo, config.bounces)); // Eq. (8)
         }
+    };
+    let solve = |transfer: &Transfer, bands: usize, start: Option<&Solution>| {
         let observed = Observed {
-            transfer: &transfer,
+            transfer,
             lit_color: colors.lit_color,
             lit_weight: colors.lit_weight,
             segment: colors.segment,
             segments: colors.segments,
         };
-        let mut solution = inverse::solve(&observed, bands); // Eqs. (9)–(12)
+        let mut solution = inverse::solve(&observed, bands, start); // Eqs. (9)–(12)
         fix_scale(&mut solution, colors);
         let irradiance = transfer.irradiance(&solution.light);
         let known = Known {
@@ -75,12 +81,19 @@ pub fn factorise(traced: Traced, colors: &Colors, gi: bool, bands: usize, config
             segment: colors.segment,
         };
         let detail = albedo::detail(&known, &solution.albedo);
-        round += 1;
-        if round >= rounds {
-            return Factorised { transfer, solution, detail, irradiance };
+        (solution, detail, irradiance)
+    };
+    let (before, albedo) = match start {
+        Some((solution, detail)) => (Some(solution), detail.albedo),
+        None => {
+            // What the albedo is takes no fine light to see.
+            bounce(&mut transfer, &vec![Vec3::splat(MID_GREY); colors.lit_color.len()]);
+            (None, solve(&transfer, bands.min(FIRST_BANDS), None).1.albedo)
         }
-        albedo = detail.albedo;
-    }
+    };
+    bounce(&mut transfer, &albedo);
+    let (solution, detail, irradiance) = solve(&transfer, bands, before.as_ref());
+    Factorised { transfer, solution, detail, irradiance }
 }
 
 /// Applies [`SCALE_RULE`].

@@ -12,8 +12,10 @@ use rayon::prelude::*;
 
 /// Directions that carry radiance.
 const DIRECTIONS: usize = 320;
-/// Vertices that vote at most: evenly strided; thousands of times the unknowns is plenty.
-const MOST_VOTES: usize = 30_000;
+/// Vertices that vote in all, shared out by segment size: many times the unknowns.
+const VOTES: usize = 12_000;
+/// Votes that a segment has at least, if it has so many vertices.
+const SEGMENT_VOTES: usize = 300;
 /// Consecutive vertices that are held out together, since neighbours say the same.
 const FOLD_BLOCK: u32 = 64;
 /// One block in so many is held out.
@@ -30,8 +32,8 @@ const REWEIGHTINGS: usize = 3;
 const MOST_ALTERNATIONS: usize = 80;
 /// Alternation ends when no log albedo moves by more.
 const ALBEDO_TOLERANCE: f64 = 1e-4;
-/// Sweeps of the non-negative solver.
-const MOST_SWEEPS: usize = 60;
+/// Sweeps of the non-negative solver in one alternation, at most; the next goes on where they end.
+const SWEEPS: usize = 12;
 /// Weights of the pull towards the mean radiance that are tried, strongest first.
 const PULLS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
 /// A weaker pull must lower the held-out error by this share to be taken.
@@ -68,7 +70,7 @@ pub struct Solution {
     /// Relative RMS error on vertices that were held out.
     pub held_out: f64,
     /// The pull towards the mean that held-out error chose.
-    pub pull: f64,
+    pub pull: [f64; 3],
     /// Condition number of the light's normal equations, before the pull.
     pub condition: f64,
 }
@@ -112,17 +114,20 @@ impl Statistics {
 struct Vote {
     vertex: u32,
     segment: u32,
+    /// Vertices it stands for.
+    share: f64,
     held_out: bool,
 }
 
-/// Solves for light and segment albedo. `bands` at most those of the transfer.
+/// Solves for light and segment albedo, `bands` being at most those of the transfer. Goes on from `start` where there is
+/// one, with the pull chosen then.
 #[must_use]
-pub fn solve(observed: &Observed, bands: usize) -> Solution {
+pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>) -> Solution {
     let k = bands * bands;
     let votes = votes(observed);
     let basis = Basis::new(k);
     let channels: Vec<Channel> =
-        [0, 1, 2].into_par_iter().map(|c| solve_channel(observed, &votes, &basis, c)).collect();
+        [0, 1, 2].into_par_iter().map(|c| solve_channel(observed, &votes, &basis, c, start)).collect();
     let zip3 = |n: usize, get: &dyn Fn(&Channel, usize) -> f64| -> Vec<[f64; 3]> {
         (0..n).map(|i| [0, 1, 2].map(|c| get(&channels[c], i))).collect()
     };
@@ -133,7 +138,7 @@ pub fn solve(observed: &Observed, bands: usize) -> Solution {
         radiance: zip3(DIRECTIONS, &|c, i| c.radiance[i]),
         albedo: zip3(observed.segments, &|c, i| c.albedo[i]),
         held_out: libm::sqrt(mean(&|c| c.held_out)),
-        pull: mean(&|c| c.pull),
+        pull: [0, 1, 2].map(|c| channels[c].pull),
         condition: channels.iter().map(|c| c.condition).fold(0.0, f64::max),
     }
 }
@@ -169,23 +174,28 @@ impl Basis {
     }
 }
 
+/// The vertices that vote, by segment: evenly strided, and each standing for those it stepped over.
 fn votes(observed: &Observed) -> Vec<Vote> {
-    let usable = |i: usize| {
-        let f = observed.lit_color[i];
-        observed.lit_weight[i] > 0.0 && f.is_finite() && f.min_element() >= 0.0 && f.max_element() > 0.0
+    let usable = |i: &usize| {
+        let f = observed.lit_color[*i];
+        observed.lit_weight[*i] > 0.0 && f.is_finite() && f.min_element() >= 0.0 && f.max_element() > 0.0
     };
-    let all: Vec<usize> = (0..observed.lit_color.len()).filter(|&i| usable(i)).collect();
-    let stride = all.len().div_ceil(MOST_VOTES).max(1);
-    let mut votes: Vec<Vote> = all
-        .into_iter()
-        .step_by(stride)
-        .map(|i| Vote {
+    let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); observed.segments];
+    for i in (0..observed.lit_color.len()).filter(usable) {
+        of_segment[observed.segment[i] as usize].push(i);
+    }
+    let total: usize = of_segment.iter().map(Vec::len).sum();
+    let mut votes = Vec::new();
+    for (segment, vertices) in (0u32..).zip(&of_segment) {
+        let quota = (VOTES * vertices.len() / total.max(1)).max(SEGMENT_VOTES);
+        let stride = vertices.len().div_ceil(quota).max(1);
+        votes.extend(vertices.iter().step_by(stride).map(|&i| Vote {
             vertex: i as u32,
-            segment: observed.segment[i],
+            segment,
+            share: stride as f64,
             held_out: hash(i as u32 / FOLD_BLOCK, 0xf01d).is_multiple_of(FOLDS),
-        })
-        .collect();
-    votes.sort_by_key(|v| v.segment);
+        }));
+    }
     votes
 }
 
@@ -239,7 +249,13 @@ fn accumulate(observed: &Observed, votes: &[Vote], weights: &[f64], k: usize, ch
     total
 }
 
-fn solve_channel(observed: &Observed, votes: &[Vote], basis: &Basis, channel: usize) -> Channel {
+fn solve_channel(
+    observed: &Observed,
+    votes: &[Vote],
+    basis: &Basis,
+    channel: usize,
+    start: Option<&Solution>,
+) -> Channel {
     let k = basis.project.nrows();
     let color = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize][channel]);
     let mut medians = vec![0.0; observed.segments];
@@ -250,20 +266,26 @@ fn solve_channel(observed: &Observed, votes: &[Vote], basis: &Basis, channel: us
     // Relative weights: a lit colour errs in proportion to itself.
     let relative = |v: &Vote, predicted: f64| {
         let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
-        f64::from(observed.lit_weight[v.vertex as usize]).min(1.0) / (size * size)
+        v.share * f64::from(observed.lit_weight[v.vertex as usize]).min(1.0) / (size * size)
     };
     let mut weights: Vec<f64> = votes.iter().map(|v| relative(v, color(v))).collect();
-    // First round: uniform light, each segment as bright as its colours say.
-    let mut state = Alternation {
-        radiance: DVector::from_element(DIRECTIONS, 1.0),
-        albedo: medians.iter().map(|m| m.max(1e-6 * overall) / overall * 0.5).collect(),
+    let mut state = match start {
+        Some(start) => Alternation {
+            radiance: DVector::from_iterator(DIRECTIONS, start.radiance.iter().map(|r| r[channel])),
+            albedo: start.albedo.iter().map(|a| a[channel]).collect(),
+        },
+        // Uniform light, each segment as bright as its colours say.
+        None => Alternation {
+            radiance: DVector::from_element(DIRECTIONS, 1.0),
+            albedo: medians.iter().map(|m| m.max(1e-6 * overall) / overall * 0.5).collect(),
+        },
     };
     let mut row = vec![0.0; k];
-    let mut chosen = (PULLS[2], f64::INFINITY);
+    let mut chosen = (start.map_or(PULLS[2], |s| s.pull[channel]), f64::INFINITY);
     let mut statistics = accumulate(observed, votes, &weights, k, channel);
     for round in 0..REWEIGHTINGS {
-        if round + 1 == REWEIGHTINGS {
-            chosen = choose_pull(&statistics, basis, &mut state);
+        if round + 1 == REWEIGHTINGS && start.is_none() {
+            chosen.0 = choose_pull(&statistics, basis, &mut state);
         }
         state.run(&statistics[0], basis, chosen.0);
         if round + 1 < REWEIGHTINGS {
@@ -286,6 +308,7 @@ fn solve_channel(observed: &Observed, votes: &[Vote], basis: &Basis, channel: us
             statistics = accumulate(observed, votes, &weights, k, channel);
         }
     }
+    chosen.1 = held_out(&statistics[1], basis, &state);
     finish(&statistics, basis, &state, chosen)
 }
 
@@ -311,16 +334,8 @@ impl Alternation {
                 gram += &s.gram * (a * a);
                 cross += &s.cross * *a;
             }
-            // Eq. (10) for non-negative radiance.
-            let half = &gram * &basis.project;
-            let mut normal = basis.project.tr_mul(&half);
-            let target = basis.project.tr_mul(&cross);
-            // Pull towards the mean, in units of the data's own weight: pull · total · mean of (r − 1)².
-            let strength = pull * total / DIRECTIONS as f64;
-            for d in 0..DIRECTIONS {
-                normal[(d, d)] += strength;
-            }
-            non_negative(&normal, &target.add_scalar(strength), &mut self.radiance);
+            // Eq. (10) for non-negative radiance, pulled towards the mean: pull · total · mean of (r − 1)².
+            non_negative(&gram, &cross, basis, pull * total / DIRECTIONS as f64, &mut self.radiance);
             let mean = self.radiance.mean();
             if mean <= 0.0 || !mean.is_finite() {
                 self.radiance.fill(1.0);
@@ -347,7 +362,7 @@ impl Alternation {
 }
 
 /// The weakest pull that still lowers the held-out error.
-fn choose_pull(statistics: &[Vec<Statistics>; 2], basis: &Basis, state: &mut Alternation) -> (f64, f64) {
+fn choose_pull(statistics: &[Vec<Statistics>; 2], basis: &Basis, state: &mut Alternation) -> f64 {
     let mut best: Option<(f64, f64, Alternation)> = None;
     for pull in PULLS {
         let mut trial = state.clone();
@@ -358,11 +373,11 @@ fn choose_pull(statistics: &[Vec<Statistics>; 2], basis: &Basis, state: &mut Alt
         }
     }
     match best {
-        Some((pull, error, trial)) => {
+        Some((pull, _, trial)) => {
             *state = trial;
-            (pull, error)
+            pull
         }
-        None => (PULLS[0], f64::INFINITY),
+        None => PULLS[0],
     }
 }
 
@@ -377,20 +392,24 @@ fn held_out(statistics: &[Statistics], basis: &Basis, state: &Alternation) -> f6
     if size > 0.0 { error / size } else { 0.0 }
 }
 
-/// `min ½ rᵀ A r − bᵀ r` over r ≥ 0 by coordinate descent from where `r` stands.
-fn non_negative(a: &DMatrix<f64>, b: &DVector<f64>, r: &mut DVector<f64>) {
-    let mut gradient = a * &*r - b;
-    for _ in 0..MOST_SWEEPS {
+/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ strength |r − 1|²` over r ≥ 0 by coordinate descent from where `r` stands, P being
+/// the projection to coefficients: the gradient is kept there, where it is short.
+fn non_negative(gram: &DMatrix<f64>, cross: &DVector<f64>, basis: &Basis, strength: f64, r: &mut DVector<f64>) {
+    let columns = gram * &basis.project;
+    let mut gradient = gram * (&basis.project * &*r) - cross;
+    for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
         for d in 0..r.len() {
-            let diagonal = a[(d, d)];
+            let column = basis.project.column(d);
+            let diagonal = column.dot(&columns.column(d)) + strength;
             if diagonal <= 0.0 {
                 continue;
             }
-            let step = (r[d] - gradient[d] / diagonal).max(0.0) - r[d];
+            let slope = column.dot(&gradient) + strength * (r[d] - 1.0);
+            let step = (r[d] - slope / diagonal).max(0.0) - r[d];
             if step != 0.0 {
                 r[d] += step;
-                gradient.axpy(step, &a.column(d), 1.0);
+                gradient.axpy(step, &columns.column(d), 1.0);
                 moved += step * step;
             }
             size += r[d] * r[d];

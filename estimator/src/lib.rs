@@ -26,6 +26,7 @@ pub mod thickness;
 pub mod transfer;
 pub mod witness;
 
+use crate::association::Association as Fields;
 use crate::factorise::{Colors, Factorised, factorise};
 use crate::plan::Plan;
 use crate::scene::Scene;
@@ -100,24 +101,34 @@ pub fn estimate(
     let gi = matches!(config.transfer, TransferChoice::Gi | TransferChoice::Auto);
     progress.stage("factorisation", 0.0);
     let colors = Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
-    let mut found = factorise(traced, &colors, gi, bands, config);
+    let mut found = factorise(traced, &colors, gi, bands, config, None);
 
     // §3.4: specular weights (Eq. 13); lit colours without gloss are factorised once more.
     let lit_with_gloss = fields.lit_color.clone();
     let mut gloss = vec![Gloss::NONE; segments];
     if config.specular != Switch::Off {
         progress.stage("specular", 0.0);
-        let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+        let reflection =
+            Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
         gloss = specular::fit(&reflection, &fields, &segment, segments);
         if gloss.iter().any(|g| g.significant) {
+            let matte = vec![Gloss::NONE; segments];
+            let judge = |r: &Reflection, f: &Fields, albedo: &[[f64; 3]], g: &[Gloss]| {
+                specular::prediction_error(r, f, &segment, albedo, g)
+            };
+            let before = judge(&reflection, &fields, &found.solution.albedo, &matte);
             let cleaned = specular::clean(&reflection, &fields, &segment, &gloss);
-            let before = found.solution.held_out;
             let colors = Colors { lit_color: &cleaned, ..colors };
-            let again = factorise(found.transfer.traced, &colors, gi, bands, config);
-            decisions.push(refit_decision(before, again.solution.held_out));
+            let start = Some((found.solution.clone(), found.detail.clone()));
+            let again = factorise(found.transfer.traced, &colors, gi, bands, config, start);
+            let reflection =
+                Reflection { mesh: &mesh, scene: &scene, light: &again.solution.light, irradiance: &again.irradiance };
+            let after = judge(&reflection, &fields, &again.solution.albedo, &gloss);
+            decisions.push(refit_decision(before, after));
             found = again;
             fields.lit_color = cleaned;
-            let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+            let reflection =
+                Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
             gloss = specular::fit(&reflection, &fields, &segment, segments);
         }
     }
@@ -125,7 +136,8 @@ pub fn estimate(
     // Frames that no step used.
     progress.stage("witnesses", 0.0);
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
-    let reflection = Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light };
+    let reflection =
+        Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
     let model = witness::Model {
         reflection,
         lit_color: &lit_with_gloss,

@@ -4,15 +4,18 @@
 //! of one vertex: `e_j f~_ij − f_i = w_s (f_s,ij − median over j of f_s,ij)`. The diffuse part, whatever its albedo, drops
 //! out, and f and f_s cannot be collinear. w_d then follows from Eq. (13) as it stands.
 
-use crate::association::{Association, Observation};
-use crate::scene::Scene;
+use crate::association::Association;
+use crate::scene::{Hit, Scene};
 use crate::sh;
 use glam::{DVec3, Vec3};
+use nalgebra::{Matrix4, Vector4};
 use rayon::prelude::*;
 use recordings::types::Mesh;
 
 /// Observations of a segment that are looked at, at most.
 const MOST_OBSERVATIONS: usize = 60_000;
+/// Vertices that are looked at to judge a whole answer.
+const JUDGED_VERTICES: usize = 5_000;
 /// Views a vertex needs before its changes say anything.
 const LEAST_VIEWS: usize = 3;
 /// Residuals beyond this many robust standard deviations count less (Huber).
@@ -24,22 +27,37 @@ const CORRELATED: f64 = 30.0;
 /// A weight below this many standard errors is none.
 const SIGNIFICANT: f64 = 3.0;
 
+/// Share of 1 that the determinant of Eq. (13) must reach, else f and f_s are collinear and all goes to w_d.
+const NEARLY_COLLINEAR: f64 = 1e-3;
+/// The level of the colours may raise the weight that the changes tell by this factor.
+const MOST_MISSED: f64 = 4.0;
+/// Share of a lit colour that is matte at least.
+const LEAST_MATTE: f64 = 0.1;
+/// Widths of the lobes that are tried, as the standard deviation of a Gaussian on the sphere in radians; 0 is the mirror
+/// of Eq. (13).
+const LOBES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
+
 /// What Eq. (13) says of one segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gloss {
     /// Diffuse weight.
     pub w_d: f64,
-    /// Specular weight, ≥ 0.
+    /// Specular weight for light in the mirror direction, ≥ 0.
     pub w_s: f64,
-    /// Standard error of `w_s`; infinite where no observation tells it.
+    /// Standard error of the specular weight; infinite where no observation tells it.
     pub error: f64,
     /// True if the weight stands out of its error.
     pub significant: bool,
+    /// The lobe that explains the changes between views best, as an index into the widths …
+    lobe: usize,
+    /// … and its weight. A rough surface blurs the light; with a mirror in its place the weight comes out too small.
+    lobe_weight: f64,
 }
 
 impl Gloss {
     /// Matte.
-    pub const NONE: Self = Self { w_d: 1.0, w_s: 0.0, error: f64::INFINITY, significant: false };
+    pub const NONE: Self =
+        Self { w_d: 1.0, w_s: 0.0, error: f64::INFINITY, significant: false, lobe: 0, lobe_weight: 0.0 };
 }
 
 /// What is needed to predict the reflected light.
@@ -51,39 +69,75 @@ pub struct Reflection<'a> {
     pub scene: &'a Scene,
     /// Coefficients of the light.
     pub light: &'a [[f64; 3]],
+    /// Irradiance over π per vertex.
+    pub irradiance: &'a [Vec3],
 }
 
 impl Reflection<'_> {
-    /// f_s at a surface point seen along the unit vector `to_camera`: light in the mirror direction; `None` if the scene
-    /// is in the way, or the surface is seen from behind.
-    #[must_use]
-    pub fn at(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<[f64; 3]> {
+    /// The mirror direction at a surface point seen along the unit vector `to_camera`, and what stands in it; `None` if
+    /// the surface is seen from behind.
+    fn mirror(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<(Vec3, Option<Hit>)> {
         let cosine = normal.dot(to_camera);
         if cosine <= 0.0 || !cosine.is_finite() {
             return None;
         }
         let mirror = (normal * (2.0 * cosine) - to_camera).normalize_or_zero();
-        if mirror == Vec3::ZERO || self.scene.occluded(self.scene.offset_origin(position, normal), mirror) {
-            return None;
+        let hit = self.scene.closest_hit(self.scene.offset_origin(position, normal), mirror);
+        (mirror != Vec3::ZERO).then_some((mirror, hit))
+    }
+
+    /// f_s of Eq. (13): light in the mirror direction; `None` if the scene is in the way.
+    #[must_use]
+    pub fn at(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<[f64; 3]> {
+        match self.mirror(position, normal, to_camera)? {
+            (mirror, None) => Some(sh::radiance(self.light, mirror.as_dvec3()).map(|x| x.max(0.0))),
+            _ => None,
         }
-        Some(sh::radiance(self.light, mirror.as_dvec3()).map(|x| x.max(0.0)))
+    }
+
+    /// Lit colour of what stands in a mirror direction; `None` where nobody saw it from its lit side.
+    fn lit_at(&self, association: &Association, mirror: Vec3, hit: &Hit) -> Option<[f64; 3]> {
+        let corners = self.mesh.triangles[hit.triangle as usize].map(|i| i as usize);
+        let weights = [1.0 - hit.u - hit.v, hit.u, hit.v];
+        let mix = |values: &[Vec3]| corners.iter().zip(weights).map(|(&i, w)| values[i] * w).sum::<Vec3>();
+        let seen = corners.iter().all(|&i| association.lit_weight[i] > 0.0);
+        (seen && mix(&self.mesh.normals).dot(mirror) < 0.0)
+            .then(|| mix(&association.lit_color).to_array().map(f64::from))
+    }
+
+    /// The light as each lobe blurs it.
+    fn blurred(&self) -> [Vec<[f64; 3]>; LOBES.len()] {
+        LOBES.map(|width| {
+            let window = |k: usize| {
+                let l = sh::band(k) as f64;
+                libm::exp(-0.5 * width * width * l * (l + 1.0))
+            };
+            self.light.iter().enumerate().map(|(k, c)| c.map(|x| x * window(k))).collect()
+        })
     }
 }
 
-/// One observation beside what is predicted for it.
+/// One channel of one observation beside what is predicted for it, in units of its own error.
 #[derive(Debug, Clone, Copy)]
-struct Pair {
-    seen: [f64; 3],
-    lit: [f64; 3],
-    /// f_s and f_s less its median over the vertex's views.
-    mirror: [f64; 3],
-    change: [f64; 3],
-    weight: f64,
+struct Sample {
+    /// e_j f~_ij.
+    seen: f64,
+    /// f_i.
+    lit: f64,
+    /// Irradiance E_i.
+    irradiance: f64,
+    channel: usize,
+    /// f_s for every lobe.
+    mirror: [f64; LOBES.len()],
+    /// The same less its median over the vertex's views.
+    change: [f64; LOBES.len()],
+    robust: f64,
 }
 
 /// Specular weights of every segment.
 #[must_use]
 pub fn fit(reflection: &Reflection, association: &Association, segment: &[u32], segments: usize) -> Vec<Gloss> {
+    let lights = reflection.blurred();
     let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); segments];
     for (i, s) in segment.iter().enumerate() {
         let views = association.offsets[i + 1] - association.offsets[i];
@@ -98,85 +152,232 @@ pub fn fit(reflection: &Reflection, association: &Association, segment: &[u32], 
                 vertices.iter().map(|&i| (association.offsets[i + 1] - association.offsets[i]) as usize).sum();
             let stride = total.div_ceil(MOST_OBSERVATIONS).max(1);
             let chosen: Vec<usize> = vertices.into_iter().step_by(stride).collect();
-            let pairs: Vec<Pair> = chosen.par_iter().flat_map_iter(|&i| pairs(reflection, association, i)).collect();
-            fit_segment(&pairs)
+            let seen: Vec<View> =
+                chosen.par_iter().flat_map_iter(|&i| views(reflection, &lights, association, i, false)).collect();
+            fit_segment(&seen)
         })
         .collect()
 }
 
-/// The observations of one vertex whose mirror direction is free.
-fn pairs(reflection: &Reflection, association: &Association, vertex: usize) -> Vec<Pair> {
+/// One observation of a vertex whose mirror direction is free: what is seen, f_i, f_s for every lobe and its change.
+struct View {
+    seen: [f64; 3],
+    lit: [f64; 3],
+    irradiance: [f64; 3],
+    mirror: [[f64; 3]; LOBES.len()],
+    change: [[f64; 3]; LOBES.len()],
+    weight: f64,
+}
+
+/// The observations of one vertex whose mirror direction is free; with `blocked`, those too whose mirror shows the scene,
+/// as far as it was seen itself. Eq. (13) drops these, but they hold gloss like the others.
+fn views(
+    reflection: &Reflection,
+    lights: &[Vec<[f64; 3]>; LOBES.len()],
+    association: &Association,
+    vertex: usize,
+    blocked: bool,
+) -> Vec<View> {
     let (position, normal) = (reflection.mesh.positions[vertex], reflection.mesh.normals[vertex]);
     let lit = association.lit_color[vertex].to_array().map(f64::from);
+    let irradiance = reflection.irradiance[vertex].to_array().map(f64::from);
     let range = association.offsets[vertex] as usize..association.offsets[vertex + 1] as usize;
-    let observations: &[Observation] = &association.observations[range];
-    let mut pairs: Vec<Pair> = observations
+    let mut views: Vec<View> = association.observations[range]
         .iter()
         .filter_map(|o| {
             let camera = association.views[o.keyframe as usize].world_from_camera.translation;
             let to_camera = (camera - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
-            let mirror = reflection.at(position, normal, to_camera)?;
-            Some(Pair { seen: o.color.map(f64::from), lit, mirror, change: mirror, weight: f64::from(o.weight) })
+            let mirror = match reflection.mirror(position, normal, to_camera)? {
+                (direction, None) => {
+                    lights.each_ref().map(|l| sh::radiance(l, direction.as_dvec3()).map(|x| x.max(0.0)))
+                }
+                (direction, Some(hit)) if blocked => [reflection.lit_at(association, direction, &hit)?; LOBES.len()],
+                _ => return None,
+            };
+            Some(View {
+                seen: o.color.map(f64::from),
+                lit,
+                irradiance,
+                mirror,
+                change: mirror,
+                weight: f64::from(o.weight),
+            })
         })
         .collect();
-    if pairs.len() < LEAST_VIEWS {
+    if views.len() < LEAST_VIEWS {
         return Vec::new();
     }
-    for c in 0..3 {
-        let middle = median(pairs.iter().map(|p| p.mirror[c]).collect());
-        pairs.iter_mut().for_each(|p| p.change[c] -= middle);
+    for b in 0..LOBES.len() {
+        for c in 0..3 {
+            let middle = median(views.iter().map(|p| p.mirror[b][c]).collect());
+            views.iter_mut().for_each(|p| p.change[b][c] -= middle);
+        }
     }
-    pairs
+    views
 }
 
-/// One channel of one observation, in units of its own error.
-struct Sample {
-    seen: f64,
-    lit: f64,
-    mirror: f64,
-    change: f64,
-    robust: f64,
+/// Mean relative error, large ones capped, of `albedo E + gloss` per segment against what the keyframes show, over
+/// evenly strided vertices.
+#[must_use]
+pub fn prediction_error(
+    reflection: &Reflection,
+    association: &Association,
+    segment: &[u32],
+    albedo: &[[f64; 3]],
+    gloss: &[Gloss],
+) -> f64 {
+    let lights = reflection.blurred();
+    let stride = segment.len().div_ceil(JUDGED_VERTICES).max(1);
+    let judged: Vec<usize> = (0..segment.len()).step_by(stride).collect();
+    let errors: Vec<f64> = judged
+        .par_iter()
+        .flat_map_iter(|&i| {
+            let (gloss, albedo) = (gloss[segment[i] as usize], albedo[segment[i] as usize]);
+            let weight = if gloss.significant { gloss.lobe_weight } else { 0.0 };
+            views(reflection, &lights, association, i, true).into_iter().flat_map(move |v| {
+                let size = (v.lit[0] + v.lit[1] + v.lit[2]) / 3.0;
+                [0, 1, 2].map(|c| {
+                    let predicted = albedo[c] * v.irradiance[c] + weight * v.mirror[gloss.lobe][c];
+                    ((v.seen[c] - predicted).abs() / size.max(f64::MIN_POSITIVE)).min(1.0)
+                })
+            })
+        })
+        .collect();
+    errors.iter().sum::<f64>() / errors.len().max(1) as f64
 }
 
-fn fit_segment(pairs: &[Pair]) -> Gloss {
+fn fit_segment(views: &[View]) -> Gloss {
     // Errors of a picture grow with its brightness; all channels of a segment count alike.
-    let size = median(pairs.iter().map(|p| (p.lit[0] + p.lit[1] + p.lit[2]) / 3.0).collect());
-    if pairs.is_empty() || size.is_nan() || size <= 0.0 {
+    let size = median(views.iter().map(|p| (p.lit[0] + p.lit[1] + p.lit[2]) / 3.0).collect());
+    if views.is_empty() || size.is_nan() || size <= 0.0 {
         return Gloss::NONE;
     }
-    let sample = |p: &Pair, c: usize| {
+    let sample = |p: &View, c: usize| {
         let scale = libm::sqrt(p.weight.max(1e-3)) / (p.lit[c] + 0.1 * size);
-        let [seen, lit, mirror, change] = [p.seen, p.lit, p.mirror, p.change].map(|x| x[c] * scale);
-        Sample { seen, lit, mirror, change, robust: 1.0 }
+        Sample {
+            seen: p.seen[c] * scale,
+            lit: p.lit[c] * scale,
+            irradiance: p.irradiance[c] * scale,
+            channel: c,
+            mirror: p.mirror.map(|m| m[c] * scale),
+            change: p.change.map(|m| m[c] * scale),
+            robust: 1.0,
+        }
     };
-    let mut samples: Vec<Sample> = pairs.iter().flat_map(|p| [0, 1, 2].map(|c| sample(p, c))).collect();
-    let (mut w_s, mut error) = (0.0, f64::INFINITY);
+    let mut samples: Vec<Sample> = views.iter().flat_map(|p| [0, 1, 2].map(|c| sample(p, c))).collect();
+    let spread = 1.4826 * median(samples.iter().map(|s| (s.seen - s.lit).abs()).collect()) + 1e-9;
+    let mut best: Option<(f64, Gloss)> = None;
+    for lobe in 0..LOBES.len() {
+        let Some((weight, error)) = change_weight(&mut samples, lobe) else { continue };
+        // Loss in units that are the same for every lobe.
+        let loss: f64 = samples
+            .iter()
+            .map(|s| {
+                let r = (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs() / (HUBER * spread);
+                if r < 1.0 { r * r } else { 2.0 * r - 1.0 }
+            })
+            .sum();
+        let gloss = Gloss {
+            error,
+            significant: weight > SIGNIFICANT * error,
+            lobe,
+            lobe_weight: weight.max(0.0),
+            ..Gloss::NONE
+        };
+        if best.is_none_or(|(least, _)| loss < least) {
+            best = Some((loss, gloss));
+        }
+    }
+    let Some((_, mut gloss)) = best else { return Gloss::NONE };
+    let (w_d, w_s) = mirror_weights(&samples);
+    if gloss.significant {
+        let (level, error) = level_weight(&mut samples, gloss.lobe);
+        if level > gloss.lobe_weight + SIGNIFICANT * error {
+            gloss.lobe_weight = level.min(MOST_MISSED * gloss.lobe_weight);
+        }
+    }
+    Gloss { w_d, w_s, ..gloss }
+}
+
+/// Robust weight of a lobe from what changes between views, with its standard error.
+fn change_weight(samples: &mut [Sample], lobe: usize) -> Option<(f64, f64)> {
+    samples.iter_mut().for_each(|s| s.robust = 1.0);
+    let (mut weight, mut error) = (0.0, f64::INFINITY);
     for _ in 0..ROUNDS {
         let (square, cross) = samples.iter().fold((0.0, 0.0), |(square, cross), s| {
-            (square + s.robust * s.change * s.change, cross + s.robust * s.change * (s.seen - s.lit))
+            let change = s.change[lobe];
+            (square + s.robust * change * change, cross + s.robust * change * (s.seen - s.lit))
         });
         if square <= 0.0 {
-            return Gloss::NONE;
+            return None;
         }
-        w_s = cross / square;
-        let off = |s: &Sample| (s.seen - s.lit - w_s.max(0.0) * s.change).abs();
+        weight = cross / square;
+        let off = |s: &Sample| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs();
         let sigma = 1.4826 * median(samples.iter().map(off).collect()) + 1e-9;
         samples.iter_mut().for_each(|s| s.robust = HUBER * sigma / off(s).max(HUBER * sigma));
         error = sigma * libm::sqrt(CORRELATED / square);
     }
-    let significant = w_s > SIGNIFICANT * error;
-    let w_s = w_s.max(0.0);
-    // w_d of Eq. (13) for this w_s.
-    let (square, cross) = samples.iter().fold((0.0, 0.0), |(square, cross), s| {
-        (square + s.robust * s.lit * s.lit, cross + s.robust * s.lit * (s.seen - w_s * s.mirror))
-    });
-    let w_d = if square > 0.0 { (cross / square).max(0.0) } else { 1.0 };
-    Gloss { w_d, w_s, error, significant }
+    Some((weight, error))
 }
 
-/// Lit colours without the gloss that their median holds.
+/// Robust weight of a lobe from the level of the colours: `e_j f~_ij = a_c E_i + w f_s,ij` with one albedo per channel. What
+/// is the same in all views shows here only, and dark channels show it best. Light that is too smooth for the changes
+/// between views makes their weight too small; the level hardly minds.
+fn level_weight(samples: &mut [Sample], lobe: usize) -> (f64, f64) {
+    samples.iter_mut().for_each(|s| s.robust = 1.0);
+    let (mut weight, mut error) = (0.0, f64::INFINITY);
+    for _ in 0..ROUNDS {
+        let (mut normal, mut target) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
+        for s in samples.iter() {
+            let (c, e, m) = (s.channel, s.irradiance, s.mirror[lobe]);
+            normal[(c, c)] += s.robust * e * e;
+            normal[(c, 3)] += s.robust * e * m;
+            normal[(3, 3)] += s.robust * m * m;
+            target[c] += s.robust * e * s.seen;
+            target[3] += s.robust * m * s.seen;
+        }
+        for c in 0..3 {
+            normal[(3, c)] = normal[(c, 3)];
+        }
+        let Some(inverse) = normal.try_inverse() else { return (0.0, f64::INFINITY) };
+        let x = inverse * target;
+        let off = |s: &Sample| (s.seen - x[s.channel] * s.irradiance - x[3] * s.mirror[lobe]).abs();
+        let sigma = 1.4826 * median(samples.iter().map(off).collect()) + 1e-9;
+        samples.iter_mut().for_each(|s| s.robust = HUBER * sigma / off(s).max(HUBER * sigma));
+        (weight, error) = (x[3], sigma * libm::sqrt(CORRELATED * inverse[(3, 3)].max(0.0)));
+    }
+    (weight, error)
+}
+
+/// w_d and w_s of Eq. (13) as it stands, both ≥ 0; samples keep the robust weights of the lobe fit.
+fn mirror_weights(samples: &[Sample]) -> (f64, f64) {
+    let (mut ff, mut fs, mut ss, mut fy, mut sy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for s in samples {
+        let mirror = s.mirror[0];
+        ff += s.robust * s.lit * s.lit;
+        fs += s.robust * s.lit * mirror;
+        ss += s.robust * mirror * mirror;
+        fy += s.robust * s.lit * s.seen;
+        sy += s.robust * mirror * s.seen;
+    }
+    let determinant = ff * ss - fs * fs;
+    if ff <= 0.0 || determinant <= NEARLY_COLLINEAR * ff * ss {
+        return (if ff > 0.0 { fy / ff } else { 1.0 }, 0.0);
+    }
+    let (w_d, w_s) = ((fy * ss - sy * fs) / determinant, (sy * ff - fy * fs) / determinant);
+    if w_s < 0.0 {
+        (fy / ff, 0.0)
+    } else if w_d < 0.0 {
+        (0.0, sy / ss)
+    } else {
+        (w_d, w_s)
+    }
+}
+
+/// Lit colours without the gloss that their median holds: the median over views of what is seen less its gloss.
 #[must_use]
 pub fn clean(reflection: &Reflection, association: &Association, segment: &[u32], gloss: &[Gloss]) -> Vec<Vec3> {
+    let lights = reflection.blurred();
     (0..segment.len())
         .into_par_iter()
         .map(|i| {
@@ -185,16 +386,16 @@ pub fn clean(reflection: &Reflection, association: &Association, segment: &[u32]
             if !gloss.significant {
                 return lit;
             }
-            let pairs = pairs(reflection, association, i);
-            if pairs.is_empty() {
+            let views = views(reflection, &lights, association, i, true);
+            if views.is_empty() {
                 return lit;
             }
-            let held = [0, 1, 2].map(|c| {
-                let middle = median(pairs.iter().map(|p| p.mirror[c]).collect());
-                // At least a tenth stays: nothing is all gloss to the median of its views.
-                (f64::from(lit[c]) - gloss.w_s * middle).max(0.1 * f64::from(lit[c])) as f32
+            let matte = [0, 1, 2].map(|c| {
+                let left = |p: &View| p.seen[c] - gloss.lobe_weight * p.mirror[gloss.lobe][c];
+                // Something stays: nothing is all gloss to the median of its views.
+                median(views.iter().map(left).collect()).max(LEAST_MATTE * f64::from(lit[c])) as f32
             });
-            Vec3::from_array(held)
+            Vec3::from_array(matte)
         })
         .collect()
 }
