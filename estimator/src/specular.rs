@@ -22,6 +22,8 @@ const LEAST_VIEWS: usize = 3;
 const HUBER: f64 = 1.5;
 /// Rounds of reweighting.
 const ROUNDS: usize = 5;
+/// Errors of a picture grow with its brightness, from this share of the segment's own on.
+const DARK_FLOOR: f64 = 0.03;
 /// Observations of neighbouring vertices in one picture err together: so many count as one.
 const CORRELATED: f64 = 30.0;
 /// A weight below this many standard errors is none.
@@ -33,9 +35,9 @@ const NEARLY_COLLINEAR: f64 = 1e-3;
 const MOST_MISSED: f64 = 4.0;
 /// Share of a lit colour that is matte at least.
 const LEAST_MATTE: f64 = 0.1;
-/// Widths of the lobes that are tried, as the standard deviation of a Gaussian on the sphere in radians; 0 is the mirror
-/// of Eq. (13).
-const LOBES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
+/// Widths of the lobes that are tried: band l of the light is damped by exp(−width l), the Poisson kernel, whose long tail
+/// is that of rough surfaces; 0 is the mirror of Eq. (13).
+const LOBES: [f64; 6] = [0.0, 0.1, 0.2, 0.3, 0.45, 0.6];
 
 /// What Eq. (13) says of one segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -110,7 +112,7 @@ impl Reflection<'_> {
         LOBES.map(|width| {
             let window = |k: usize| {
                 let l = sh::band(k) as f64;
-                libm::exp(-0.5 * width * width * l * (l + 1.0))
+                libm::exp(-width * l)
             };
             self.light.iter().enumerate().map(|(k, c)| c.map(|x| x * window(k))).collect()
         })
@@ -253,7 +255,7 @@ fn fit_segment(views: &[View]) -> Gloss {
         return Gloss::NONE;
     }
     let sample = |p: &View, c: usize| {
-        let scale = libm::sqrt(p.weight.max(1e-3)) / (p.lit[c] + 0.1 * size);
+        let scale = libm::sqrt(p.weight.max(1e-3)) / (p.lit[c] + DARK_FLOOR * size);
         Sample {
             seen: p.seen[c] * scale,
             lit: p.lit[c] * scale,
@@ -270,13 +272,8 @@ fn fit_segment(views: &[View]) -> Gloss {
     for lobe in 0..LOBES.len() {
         let Some((weight, error)) = change_weight(&mut samples, lobe) else { continue };
         // Loss in units that are the same for every lobe.
-        let loss: f64 = samples
-            .iter()
-            .map(|s| {
-                let r = (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs() / (HUBER * spread);
-                if r < 1.0 { r * r } else { 2.0 * r - 1.0 }
-            })
-            .sum();
+        let loss: f64 =
+            samples.iter().map(|s| huber((s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs() / spread)).sum();
         let gloss = Gloss {
             error,
             significant: weight > SIGNIFICANT * error,
@@ -291,12 +288,24 @@ fn fit_segment(views: &[View]) -> Gloss {
     let Some((_, mut gloss)) = best else { return Gloss::NONE };
     let (w_d, w_s) = mirror_weights(&samples);
     if gloss.significant {
-        let (level, error) = level_weight(&mut samples, gloss.lobe);
-        if level > gloss.lobe_weight + SIGNIFICANT * error {
-            gloss.lobe_weight = level.min(MOST_MISSED * gloss.lobe_weight);
+        let mut least = f64::INFINITY;
+        let told = gloss;
+        for lobe in 0..LOBES.len() {
+            let Some((level, error, loss)) = level_weight(&mut samples, lobe, spread) else { continue };
+            if loss < least && level > told.lobe_weight + SIGNIFICANT * error {
+                least = loss;
+                gloss.lobe = lobe;
+                gloss.lobe_weight = level.min(MOST_MISSED * told.lobe_weight);
+            }
         }
     }
     Gloss { w_d, w_s, ..gloss }
+}
+
+/// Huber's loss of a residual in standard deviations.
+fn huber(residual: f64) -> f64 {
+    let r = residual / HUBER;
+    if r < 1.0 { r * r } else { 2.0 * r - 1.0 }
 }
 
 /// Robust weight of a lobe from what changes between views, with its standard error.
@@ -323,9 +332,9 @@ fn change_weight(samples: &mut [Sample], lobe: usize) -> Option<(f64, f64)> {
 /// Robust weight of a lobe from the level of the colours: `e_j f~_ij = a_c E_i + w f_s,ij` with one albedo per channel. What
 /// is the same in all views shows here only, and dark channels show it best. Light that is too smooth for the changes
 /// between views makes their weight too small; the level hardly minds.
-fn level_weight(samples: &mut [Sample], lobe: usize) -> (f64, f64) {
+fn level_weight(samples: &mut [Sample], lobe: usize, spread: f64) -> Option<(f64, f64, f64)> {
     samples.iter_mut().for_each(|s| s.robust = 1.0);
-    let (mut weight, mut error) = (0.0, f64::INFINITY);
+    let (mut weight, mut error, mut loss) = (0.0, f64::INFINITY, f64::INFINITY);
     for _ in 0..ROUNDS {
         let (mut normal, mut target) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
         for s in samples.iter() {
@@ -339,14 +348,15 @@ fn level_weight(samples: &mut [Sample], lobe: usize) -> (f64, f64) {
         for c in 0..3 {
             normal[(3, c)] = normal[(c, 3)];
         }
-        let Some(inverse) = normal.try_inverse() else { return (0.0, f64::INFINITY) };
+        let inverse = normal.try_inverse()?;
         let x = inverse * target;
         let off = |s: &Sample| (s.seen - x[s.channel] * s.irradiance - x[3] * s.mirror[lobe]).abs();
         let sigma = 1.4826 * median(samples.iter().map(off).collect()) + 1e-9;
         samples.iter_mut().for_each(|s| s.robust = HUBER * sigma / off(s).max(HUBER * sigma));
         (weight, error) = (x[3], sigma * libm::sqrt(CORRELATED * inverse[(3, 3)].max(0.0)));
+        loss = samples.iter().map(|s| huber(off(s) / spread)).sum::<f64>() / samples.len() as f64;
     }
-    (weight, error)
+    Some((weight, error, loss))
 }
 
 /// w_d and w_s of Eq. (13) as it stands, both ≥ 0; samples keep the robust weights of the lobe fit.
