@@ -2,9 +2,11 @@
 
 use crate::albedo::{self, Detail, Known};
 use crate::inverse::{self, Observed, Solution};
+use crate::literal;
 use crate::transfer::{self, Traced, Transfer};
-use firmware_config::EstimatorConfig;
+use firmware_config::SolverChoice;
 use glam::Vec3;
+use std::sync::Arc;
 
 /// Albedo before anything is known of it (a0 of Eq. 10).
 const MID_GREY: f32 = 0.5;
@@ -32,6 +34,19 @@ pub struct Factorised {
     pub irradiance: Vec<Vec3>,
 }
 
+/// How the factorisation is to be done.
+#[derive(Debug, Clone, Copy)]
+pub struct Settings {
+    /// Interreflection is modelled.
+    pub gi: bool,
+    /// SH bands of the light.
+    pub bands: usize,
+    /// Bounces; 0 = until they no longer matter.
+    pub bounces: u32,
+    /// Solver.
+    pub solver: SolverChoice,
+}
+
 /// Lit colours and segments to be factorised.
 #[derive(Debug, Clone, Copy)]
 pub struct Colors<'a> {
@@ -45,21 +60,21 @@ pub struct Colors<'a> {
     pub segments: usize,
 }
 
-/// Factorises lit colours. `gi` models interreflection. Goes on from `start` where an earlier answer stands.
+/// Factorises lit colours. Goes on from `start` where an earlier answer stands.
 #[must_use]
 pub fn factorise(
-    traced: Traced,
+    traced: Arc<Traced>,
     colors: &Colors,
-    gi: bool,
-    bands: usize,
-    config: &EstimatorConfig,
+    settings: &Settings,
     start: Option<(Solution, Detail)>,
 ) -> Factorised {
+    let Settings { gi, bands, bounces, solver } = *settings;
+    let one_segment = vec![0; colors.segment.len()];
     let transfer_error = relative_error(&traced);
     let mut transfer = Transfer { traced, bounced: None };
     let bounce = |transfer: &mut Transfer, albedo: &[Vec3]| {
         if gi {
-            transfer.bounced = Some(transfer::bounce(&transfer.traced, albedo, config.bounces)); // Eq. (8)
+            transfer.bounced = Some(transfer::bounce(&transfer.traced, albedo, bounces)); // Eq. (8)
         }
     };
     let solve = |transfer: &Transfer, bands: usize, start: Option<&Solution>| {
@@ -70,8 +85,21 @@ pub fn factorise(
             segment: colors.segment,
             segments: colors.segments,
         };
-        let mut solution = inverse::solve(&observed, bands, start); // Eqs. (9)–(12)
-        fix_scale(&mut solution, colors);
+        // Eqs. (9)–(12).
+        let (mut solution, literal) = match solver {
+            SolverChoice::Robust => (inverse::solve(&observed, bands, start), None),
+            SolverChoice::Literal => {
+                let (solution, albedo) = literal::solve(&observed, bands);
+                (solution, Some(albedo))
+            }
+            SolverChoice::Nonsegmented => {
+                let whole = Observed { segment: &one_segment, segments: 1, ..observed };
+                let mut solution = inverse::solve(&whole, bands, None);
+                solution.albedo = vec![solution.albedo[0]; colors.segments];
+                (solution, None)
+            }
+        };
+        let scale = fix_scale(&mut solution, colors);
         let irradiance = transfer.irradiance(&solution.light);
         let known = Known {
             lit_color: colors.lit_color,
@@ -80,7 +108,10 @@ pub fn factorise(
             transfer_error: &transfer_error,
             segment: colors.segment,
         };
-        let detail = albedo::detail(&known, &solution.albedo);
+        let mut detail = albedo::detail(&known, &solution.albedo);
+        if let Some(albedo) = literal {
+            detail.albedo = albedo.iter().map(|a| (*a * scale).clamp(Vec3::ZERO, Vec3::ONE)).collect();
+        }
         (solution, detail, irradiance)
     };
     let (before, albedo) = match start {
@@ -96,8 +127,9 @@ pub fn factorise(
     Factorised { transfer, solution, detail, irradiance }
 }
 
-/// Applies [`SCALE_RULE`].
-fn fix_scale(solution: &mut Solution, colors: &Colors) {
+/// Applies [`SCALE_RULE`]; returns the factors that the albedos were multiplied by.
+fn fix_scale(solution: &mut Solution, colors: &Colors) -> Vec3 {
+    let mut scale = Vec3::ONE;
     let mut seen = vec![0.0f64; colors.segments];
     for (segment, weight) in colors.segment.iter().zip(colors.lit_weight) {
         if *weight > 0.0 {
@@ -113,8 +145,10 @@ fn fix_scale(solution: &mut Solution, colors: &Colors) {
             solution.albedo.iter_mut().for_each(|a| a[c] *= factor);
             let light = solution.light.iter_mut().chain(&mut solution.standard_deviation).chain(&mut solution.radiance);
             light.for_each(|l| l[c] /= factor);
+            scale[c] = factor as f32;
         }
     }
+    scale
 }
 
 /// Error of the transfer relative to its norm over the first bands.

@@ -7,12 +7,14 @@ pub mod exposure;
 pub mod factorise;
 mod graph;
 pub mod inverse;
+pub mod literal;
 mod picture;
 pub mod plan;
 pub mod pose;
 pub mod preview;
 pub mod random;
 mod raster;
+mod refit;
 mod regions;
 pub mod remesh;
 mod robust;
@@ -26,15 +28,15 @@ pub mod thickness;
 pub mod transfer;
 pub mod witness;
 
-use crate::association::Association as Fields;
-use crate::factorise::{Colors, Factorised, factorise};
+use crate::factorise::{Colors, Factorised, Settings, factorise};
 use crate::plan::Plan;
 use crate::scene::Scene;
-use crate::specular::{Gloss, Reflection};
+use crate::specular::Gloss;
 use firmware_config::{EstimatorConfig, Switch, TransferChoice};
 use glam::Vec3;
 use recordings::result::{Decision, Estimate, Light, ResultKeyframe, Segment};
 use recordings::scan::Scan;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// Why there is no result.
@@ -98,48 +100,30 @@ pub fn estimate(
     } else {
         transfer::trace(&mesh, &scene, bands, rays, config.seed, &|done| progress.stage("transfer", done))
     };
-    let gi = matches!(config.transfer, TransferChoice::Gi | TransferChoice::Auto);
+    let gi = match config.transfer {
+        TransferChoice::Auto => traced.mean_blocked() > config.gi_from_blocked,
+        choice => choice == TransferChoice::Gi,
+    };
     progress.stage("factorisation", 0.0);
+    let settings = Settings { gi, bands, bounces: config.bounces, solver: config.solver };
     let colors = Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
-    let mut found = factorise(traced, &colors, gi, bands, config, None);
+    let mut found = factorise(Arc::new(traced), &colors, &settings, None);
 
     // §3.4: specular weights (Eq. 13); lit colours without gloss are factorised once more.
     let lit_with_gloss = fields.lit_color.clone();
     let mut gloss = vec![Gloss::NONE; segments];
     if config.specular != Switch::Off {
         progress.stage("specular", 0.0);
-        let reflection =
-            Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
-        gloss = specular::fit(&reflection, &fields, &segment, segments);
-        if gloss.iter().any(|g| g.significant) {
-            let matte = vec![Gloss::NONE; segments];
-            let judge = |r: &Reflection, f: &Fields, albedo: &[[f64; 3]], g: &[Gloss]| {
-                specular::prediction_error(r, f, &segment, albedo, g)
-            };
-            let before = judge(&reflection, &fields, &found.solution.albedo, &matte);
-            let cleaned = specular::clean(&reflection, &fields, &segment, &gloss);
-            let colors = Colors { lit_color: &cleaned, ..colors };
-            let start = Some((found.solution.clone(), found.detail.clone()));
-            let again = factorise(found.transfer.traced, &colors, gi, bands, config, start);
-            let reflection =
-                Reflection { mesh: &mesh, scene: &scene, light: &again.solution.light, irradiance: &again.irradiance };
-            let after = judge(&reflection, &fields, &again.solution.albedo, &gloss);
-            decisions.push(refit_decision(before, after));
-            found = again;
-            fields.lit_color = cleaned;
-            let reflection =
-                Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
-            gloss = specular::fit(&reflection, &fields, &segment, segments);
-        }
+        let decision;
+        (found, gloss, decision) = refit::refit(&mesh, &scene, &mut fields, &segment, found, &settings);
+        decisions.push(decision);
     }
 
     // Frames that no step used.
     progress.stage("witnesses", 0.0);
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
-    let reflection =
-        Reflection { mesh: &mesh, scene: &scene, light: &found.solution.light, irradiance: &found.irradiance };
     let model = witness::Model {
-        reflection,
+        reflection: refit::reflection(&mesh, &scene, &found),
         lit_color: &lit_with_gloss,
         lit_weight: &fields.lit_weight,
         diffuse: &diffuse,
@@ -220,18 +204,9 @@ fn segment_table(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Se
     .collect()
 }
 
-fn refit_decision(before: f64, after: f64) -> Decision {
-    Decision {
-        name: "specular".into(),
-        choice: "lit colours cleaned of gloss and factorised once more".into(),
-        evidence: format!("mean relative error against the keyframes {before:.4} before, {after:.4} after"),
-        next_level: "none".into(),
-    }
-}
-
 fn transfer_decision(found: &Factorised, rays: u32) -> Decision {
     let traced = &found.transfer.traced;
-    let blocked = traced.blocked.iter().map(|b| f64::from(*b)).sum::<f64>() / traced.vertices().max(1) as f64;
+    let blocked = traced.mean_blocked();
     let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
         format!(
             "; {} bounces bring {:.1} % of the light, the last {:.2} %",

@@ -7,6 +7,7 @@ use crate::sh;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Mesh;
+use std::sync::Arc;
 
 /// Bands of interreflected light: every bounce convolves with a cosine, what is above is lost in it.
 pub const INDIRECT_BANDS: usize = 5;
@@ -58,7 +59,7 @@ pub struct Bounced {
 #[derive(Debug)]
 pub struct Transfer {
     /// Direct part.
-    pub traced: Traced,
+    pub traced: Arc<Traced>,
     /// Interreflection, if it is modelled.
     pub bounced: Option<Bounced>,
 }
@@ -309,6 +310,12 @@ impl Traced {
     #[must_use]
     pub fn vertices(&self) -> usize {
         self.blocked.len()
+    }
+
+    /// Cosine-weighted share of blocked rays, over all vertices.
+    #[must_use]
+    pub fn mean_blocked(&self) -> f64 {
+        self.blocked.iter().map(|b| f64::from(*b)).sum::<f64>() / self.vertices().max(1) as f64
     }
 
     /// Relative standard error of the first five bands over all vertices: ‖error‖ / ‖transfer‖.

@@ -97,6 +97,8 @@ section! {
         rays: u32 = 0, [0..=65536], "", "N";
         /// Light bounces in gi transfer; 0 = until they no longer matter.
         bounces: u32 = 0, [0..=64], "", "";
+        /// Share of blocked rays from which interreflection is modelled by default.
+        gi_from_blocked: f64 = 0.02, [0.0..=1.0], "", "";
         /// SH bands (l_max + 1); 0 = by evidence.
         bands: u32 = 0, [0..=9], "", "";
         /// Solver of the factorisation.
