@@ -20,6 +20,8 @@ const BLOCK: usize = 256;
 const HALVES_TO_WHOLE: f64 = 0.68;
 /// Bounces go on until they add less than this share of the light.
 const BOUNCE_TOLERANCE: f64 = 1e-3;
+/// Largest ratio of that series: albedos of 0.9995.
+const MOST_RATIO: f64 = 0.9995;
 /// Bounces that `auto` makes at most before the rest is taken as a geometric series.
 const MOST_BOUNCES: u32 = 16;
 
@@ -257,7 +259,7 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
     let most = if bounces == 0 { MOST_BOUNCES } else { bounces };
     let direct_norm =
         libm::sqrt((0..count).map(|i| f64::from(direct(i).first().copied().unwrap_or(0.0)).powi(2)).sum());
-    let (mut made, mut share, mut last) = (0, 0.0, 0.0);
+    let (mut made, mut share, mut last, mut before) = (0, 0.0, 0.0, 0.0);
     if traced.corners.is_empty() || direct_norm == 0.0 {
         return Bounced { rows, bounces: 0, share, last_share: last };
     }
@@ -272,6 +274,10 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
                 }
             }
         });
+        // The last bounce takes the rest of the series with it, which by then is geometric: what is reflected in a closed
+        // white room would need thousands.
+        let ratio: f64 = if before > 0.0 { (last / before).min(MOST_RATIO) } else { 0.0 };
+        let rest = if bounces == 0 && made + 1 == most { (ratio / (1.0 - ratio)) as f32 } else { 0.0 };
         let changes: Vec<[f64; 2]> = rows
             .par_chunks_mut(ROW * BLOCK)
             .enumerate()
@@ -289,13 +295,14 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
                         change[0] += (new - f64::from(*old)).powi(2) / 3.0;
                         change[1] += new.powi(2) / 3.0;
                     }
-                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = s * scale);
+                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = s * scale + (s * scale - *r) * rest);
                 }
                 change
             })
             .collect();
         let [change, size] = changes.iter().fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]).map(libm::sqrt);
         made += 1;
+        before = last;
         last = change / direct_norm;
         share = size / direct_norm;
         if bounces == 0 && last < BOUNCE_TOLERANCE {
