@@ -1,6 +1,7 @@
 //! A triangle mesh that can be edited: split, collapse, flip. Edges with more than two triangles are left alone.
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// Triangles of a vertex are kept in a list, so that no orientation or manifoldness is assumed.
 pub struct Surface {
@@ -155,8 +156,7 @@ impl Surface {
     }
 
     fn flip(&mut self, a: u32, b: u32) -> bool {
-        let shared = self.shared(a, b);
-        let &[s, t] = shared.as_slice() else { return false };
+        let Some([s, t]) = self.both(a, b) else { return false };
         let (Some(cs), Some(ct)) = (self.triangles[s as usize], self.triangles[t as usize]) else { return false };
         // s runs along a → b, t along b → a.
         let (s, t, cs, ct) = if runs_along(cs, a, b) { (s, t, cs, ct) } else { (t, s, ct, cs) };
@@ -165,13 +165,10 @@ impl Surface {
         }
         let third = |t: [u32; 3]| t.into_iter().find(|&x| x != a && x != b);
         let (Some(c), Some(d)) = (third(cs), third(ct)) else { return false };
-        if c == d || !self.shared(c, d).is_empty() {
-            return false;
-        }
         let [pa, pb, pc, pd] = [a, b, c, d].map(|i| self.positions[i as usize]);
         let cosine = |p: Vec3, q: Vec3, r: Vec3| (q - p).normalize_or_zero().dot((r - p).normalize_or_zero());
         // Opposite angles of more than 180° together: their cosines sum below zero.
-        if cosine(pc, pa, pb) + cosine(pd, pa, pb) > -1e-3 {
+        if cosine(pc, pa, pb) + cosine(pd, pa, pb) > -1e-3 || c == d || !self.shared(c, d).is_empty() {
             return false;
         }
         let (one, two) = ([pa, pd, pc], [pd, pb, pc]);
@@ -192,6 +189,7 @@ impl Surface {
     /// Where every vertex would go to be evenly spaced, within its tangent plane; borders and creases stay.
     pub fn relaxed(&self, step: f32) -> Vec<Vec3> {
         (0..self.positions.len() as u32)
+            .into_par_iter()
             .map(|i| {
                 let p = self.positions[i as usize];
                 let ring = &self.rings[i as usize];
@@ -226,9 +224,18 @@ impl Surface {
         self.positions[a as usize].distance(self.positions[b as usize])
     }
 
+    /// Triangles on an edge.
     fn shared(&self, a: u32, b: u32) -> Vec<u32> {
         let has = |t: &u32| self.triangles[*t as usize].is_some_and(|c| c.contains(&b));
         self.rings[a as usize].iter().copied().filter(has).collect()
+    }
+
+    /// The two triangles on an inner edge.
+    fn both(&self, a: u32, b: u32) -> Option<[u32; 2]> {
+        let has = |t: &u32| self.triangles[*t as usize].is_some_and(|c| c.contains(&b));
+        let mut found = self.rings[a as usize].iter().copied().filter(has);
+        let pair = [found.next()?, found.next()?];
+        found.next().is_none().then_some(pair)
     }
 
     /// Neighbours of a vertex, ascending.
