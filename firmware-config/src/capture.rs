@@ -1,14 +1,40 @@
 //! Settings of capture and replay.
 
-use crate::settings::{choices, section};
+use crate::settings::{Value, section};
 
-choices! {
-    /// Colour response assumed where the recording does not state one.
-    ResponseChoice {
-        /// IEC 61966-2-1.
-        Srgb = "srgb",
-        /// Proportional.
-        Linear = "linear",
+/// Colour response of a camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ResponseChoice {
+    /// IEC 61966-2-1.
+    Srgb,
+    /// Proportional.
+    Linear,
+    /// value = light^(1/gamma).
+    Gamma(f64),
+}
+
+impl Value for ResponseChoice {
+    type Range = ();
+    fn from_toml(value: &toml::Value, (): &()) -> Result<Self, String> {
+        match value.as_str() {
+            Some("srgb") => Ok(Self::Srgb),
+            Some("linear") => Ok(Self::Linear),
+            other => other
+                .and_then(|text| text.strip_prefix("gamma:")?.parse().ok())
+                .filter(|gamma| (0.2..=5.0).contains(gamma))
+                .map(Self::Gamma)
+                .ok_or_else(|| format!("one of {}", Self::describe(&()))),
+        }
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::Srgb => "\"srgb\"".into(),
+            Self::Linear => "\"linear\"".into(),
+            Self::Gamma(gamma) => format!("\"gamma:{gamma}\""),
+        }
+    }
+    fn describe((): &()) -> String {
+        "srgb, linear, gamma:x with x from 0.2 to 5".into()
     }
 }
 

@@ -1,13 +1,24 @@
 //! What the box ships: every tunable constant with unit, range, default and paper symbol, in one place.
 
+#[cfg(test)]
+mod appliance;
 pub mod capture;
+pub mod daemon;
 pub mod estimator;
 pub mod fusion;
+pub mod kinect;
+pub mod kinect_models;
+pub mod memory;
 mod settings;
 
+use std::collections::BTreeMap;
+
 pub use capture::{CaptureConfig, ResponseChoice};
+pub use daemon::DaemonConfig;
 pub use estimator::{EstimatorConfig, ExposureChoice, SolverChoice, Switch, TransferChoice};
 pub use fusion::FusionConfig;
+pub use kinect::{CameraConfig, KinectConfig};
+pub use memory::{Planned, memory_plan};
 pub use settings::{ConfigError, SettingInfo};
 
 /// Every setting.
@@ -19,6 +30,14 @@ pub struct Config {
     pub fusion: FusionConfig,
     /// The estimator.
     pub estimator: EstimatorConfig,
+    /// The daemon.
+    pub daemon: DaemonConfig,
+    /// A live Kinect.
+    pub kinect: KinectConfig,
+    /// Its colour camera, where nothing is known of the device's own.
+    pub camera: CameraConfig,
+    /// Colour cameras by serial number.
+    pub cameras: BTreeMap<String, CameraConfig>,
 }
 
 impl Config {
@@ -33,8 +52,21 @@ impl Config {
             let toml::Value::Table(fields) = value else {
                 return Err(config.unknown(section));
             };
-            for (field, value) in fields {
+            // The tables of single devices overlay what the section itself says.
+            let (tables, values): (Vec<_>, Vec<_>) = fields.iter().partition(|(_, v)| v.is_table());
+            for (field, value) in values {
                 config.set_value(section, field, value)?;
+            }
+            for (serial, table) in tables {
+                let toml::Value::Table(fields) = table else { continue };
+                if section != CameraConfig::SECTION {
+                    return Err(config.unknown(&format!("{section}.{serial}")));
+                }
+                let mut camera = config.camera.clone();
+                for (field, value) in fields {
+                    camera.set(field, value).unwrap_or_else(|| Err(config.unknown(&format!("{section}.{field}"))))?;
+                }
+                config.cameras.insert(serial.clone(), camera);
             }
         }
         Ok(config)
@@ -66,15 +98,32 @@ impl Config {
             CaptureConfig::SECTION => self.capture.set(field, value),
             FusionConfig::SECTION => self.fusion.set(field, value),
             EstimatorConfig::SECTION => self.estimator.set(field, value),
+            DaemonConfig::SECTION => self.daemon.set(field, value),
+            KinectConfig::SECTION => self.kinect.set(field, value),
+            CameraConfig::SECTION => self.camera.set(field, value),
             _ => None,
         };
         outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
     }
 
+    /// The colour camera of the device with this serial number, and whether it has settings of its own.
+    #[must_use]
+    pub fn camera_of(&self, serial: &str) -> (&CameraConfig, bool) {
+        self.cameras.get(serial).map_or((&self.camera, false), |c| (c, true))
+    }
+
     /// Every setting, in order.
     #[must_use]
     pub fn settings(&self) -> Vec<SettingInfo> {
-        [self.capture.settings(), self.fusion.settings(), self.estimator.settings()].concat()
+        [
+            self.capture.settings(),
+            self.fusion.settings(),
+            self.estimator.settings(),
+            self.daemon.settings(),
+            self.kinect.settings(),
+            self.camera.settings(),
+        ]
+        .concat()
     }
 
     /// The whole configuration as TOML that [`Config::from_toml`] reads back.
@@ -90,6 +139,12 @@ impl Config {
                 text.push_str(&format!("{}[{head}]\n", if text.is_empty() { "" } else { "\n" }));
             }
             text.push_str(&format!("{field} = {}\n", s.value));
+        }
+        for (serial, camera) in &self.cameras {
+            text.push_str(&format!("\n[camera.{}]\n", toml::Value::String(serial.clone())));
+            for s in camera.settings() {
+                text.push_str(&format!("{} = {}\n", s.key.trim_start_matches("camera."), s.value));
+            }
         }
         text
     }
@@ -152,6 +207,18 @@ mod tests {
         config.set("estimator.transfer=shade").unwrap();
         assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
         assert_eq!(Config::from_toml(&config.to_commented_toml()), Ok(config));
+    }
+
+    #[test]
+    fn a_camera_of_its_own_overlays_the_common_one() {
+        let text = "[camera]\nfx = 520.0\nresponse = \"gamma:2.2\"\n[camera.A003]\ncx = 321.0";
+        let config = Config::from_toml(text).unwrap();
+        let (own, known) = config.camera_of("A003");
+        assert_eq!((own.fx, own.cx, own.response, known), (520.0, 321.0, ResponseChoice::Gamma(2.2), true));
+        assert_eq!(config.camera_of("B"), (&config.camera, false));
+        assert_eq!(Config::from_toml(&config.to_toml()), Ok(config));
+        assert!(Config::from_toml("[camera.A003]\nfz = 1").unwrap_err().to_string().contains("camera.fz"));
+        assert!(Config::from_toml("[fusion.A003]\nfz = 1").is_err());
     }
 
     #[test]

@@ -109,6 +109,20 @@ impl Value for bool {
     }
 }
 
+impl Value for String {
+    /// Most bytes.
+    type Range = usize;
+    fn from_toml(value: &toml::Value, most: &usize) -> Result<Self, String> {
+        value.as_str().filter(|s| s.len() <= *most).map(Into::into).ok_or_else(|| Self::describe(most))
+    }
+    fn to_toml(&self) -> String {
+        toml::Value::String(self.clone()).to_string()
+    }
+    fn describe(most: &usize) -> String {
+        format!("text of at most {most} bytes")
+    }
+}
+
 /// Declares an enum setting whose TOML form is its lower-case name.
 macro_rules! choices {
     ($(#[$meta:meta])* $name:ident { $($(#[$vmeta:meta])* $variant:ident = $text:literal),+ $(,)? }) => {

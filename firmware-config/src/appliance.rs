@@ -1,0 +1,67 @@
+//! Tests that the shipped files agree with the program's own constants.
+
+use crate::kinect_models::part_of;
+use crate::{Config, kinect_models::Part};
+
+const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/appliance");
+
+fn shipped(name: &str) -> String {
+    std::fs::read_to_string(format!("{FOLDER}/{name}")).unwrap()
+}
+
+/// Run with `LUMISCAN_BLESS=1` to write the file anew after a default has changed.
+#[test]
+fn default_toml_holds_the_defaults() {
+    let text = Config::default().to_commented_toml();
+    if std::env::var_os("LUMISCAN_BLESS").is_some() {
+        std::fs::write(format!("{FOLDER}/default.toml"), &text).unwrap();
+    }
+    assert_eq!(shipped("default.toml"), text, "LUMISCAN_BLESS=1 cargo test -p firmware-config writes it anew");
+    assert_eq!(Config::from_toml(&shipped("default.toml")), Ok(Config::default()));
+}
+
+#[test]
+fn udev_names_every_part_and_nothing_is_open_to_the_world() {
+    let rules = shipped("60-lumiscan.rules");
+    let listed: Vec<u16> = rules
+        .lines()
+        .filter_map(|l| l.strip_prefix("ATTR{idProduct}==\"")?.split('"').next())
+        .flat_map(|ids| ids.split('|').map(|id| u16::from_str_radix(id, 16).unwrap()))
+        .collect();
+    let ours = (0..=u16::MAX).filter(|p| matches!(part_of(0x045e, *p), Some(Part::Camera | Part::Motor | Part::Audio)));
+    let mut sorted = listed.clone();
+    sorted.sort_unstable();
+    assert_eq!(sorted, ours.collect::<Vec<_>>());
+    assert!(!rules.contains("0666") && !rules.contains("0664") && rules.contains("uaccess"));
+}
+
+#[test]
+fn the_unit_allows_what_the_memory_plan_says() {
+    let unit = shipped("lumiscan.service");
+    let max: u64 = unit.lines().find_map(|l| l.strip_prefix("MemoryMax=")?.strip_suffix('M')).unwrap().parse().unwrap();
+    let daemon = Config::default().daemon;
+    let planned = u64::from(daemon.memory_limit_mb + daemon.estimator_limit_mb);
+    assert!(max * 1_048_576 >= planned * 1_000_000 && max < 4000, "{max} MiB for {planned} MB");
+    for line in
+        ["User=lumiscan", "StateDirectory=lumiscan", "WatchdogSec=60", "OOMPolicy=continue", "DevicePolicy=closed"]
+    {
+        assert!(unit.lines().any(|l| l == line), "{line}");
+    }
+    assert!(!unit.contains("DynamicUser"), "results would be locked away");
+}
+
+/// Where systemd is installed, its own judgement of the unit.
+#[test]
+fn systemd_finds_the_unit_tight() {
+    let unit = format!("{FOLDER}/lumiscan.service");
+    let analyzed = std::process::Command::new("systemd-analyze")
+        .args(["security", "--offline=true", "--no-pager", &unit])
+        .output();
+    let text = analyzed.map(|o| String::from_utf8_lossy(&o.stdout).into_owned()).unwrap_or_default();
+    let Some(level) = text.lines().find_map(|l| l.split("Overall exposure level for lumiscan.service:").nth(1)) else {
+        println!("skipped: systemd-analyze security cannot be run here");
+        return;
+    };
+    let level: f64 = level.split_whitespace().next().unwrap().parse().unwrap();
+    assert!(level <= 2.5, "{text}");
+}

@@ -1,0 +1,63 @@
+//! The memory plan: what the capture process can come to hold, computed before it starts.
+
+use crate::Config;
+use crate::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_11};
+
+/// One part of the plan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Planned {
+    /// What it is.
+    pub name: &'static str,
+    /// Most bytes of it.
+    pub bytes: u64,
+}
+
+/// Bytes of a voxel block: 8³ voxels of 4 bytes, and its place in the tables.
+const BLOCK: u64 = 512 * 4 + 64;
+/// Vertices a block gives at most on the average of a real surface, and the bytes of one in every stage of meshing.
+const VERTICES_A_BLOCK: u64 = 96;
+const BYTES_A_VERTEX: u64 = 96;
+/// Program, libraries, stacks of the threads, heap that is not given back.
+const PROGRAM: u64 = 96 << 20;
+
+/// What the capture process can come to hold, part by part.
+#[must_use]
+pub fn memory_plan(config: &Config) -> Vec<Planned> {
+    let color = if config.kinect.color_sxga { &BAYER_SXGA } else { &BAYER_VGA };
+    let pixels = u64::from(color.width) * u64::from(color.height);
+    // Depth in 16 bits, the mosaic, and the decoded picture.
+    let pair = u64::from(DEPTH_11.width * DEPTH_11.height) * 2 + pixels + 3 * pixels;
+    let blocks = u64::from(config.fusion.pool_blocks);
+    let plan = |name, bytes| Planned { name, bytes };
+    vec![
+        plan("packet ring", 4 << 20),
+        plan("USB transfers", 2 * 16 * 16 * 1920),
+        plan("frames being assembled and unpacked", 16 << 20),
+        // Two frames of each kind wait for their partners, two pairs before each stage, one in each.
+        plan("frames waiting and in work", 10 * pair),
+        plan("frames waiting for the disk", 4 * pixels),
+        plan("voxel pool", blocks * BLOCK),
+        // Vertex, normal and colour images of three levels, of the frame and of the prediction.
+        plan("tracking", 2 * 640 * 480 * 64 * 4 / 3),
+        plan(
+            "kept frames' depth for keyframes and relocalisation",
+            u64::from(config.fusion.max_keyframes) * 4 * 320 * 240 * 4,
+        ),
+        plan("mesh", blocks * VERTICES_A_BLOCK * BYTES_A_VERTEX / 4),
+        plan("program", PROGRAM),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_defaults_are_within_their_own_limit_and_larger_pools_are_not() {
+        let total = |c: &Config| memory_plan(c).iter().map(|p| p.bytes).sum::<u64>();
+        let mut config = Config::default();
+        assert!(total(&config) <= u64::from(config.daemon.memory_limit_mb) * 1_000_000, "{}", total(&config));
+        config.fusion.pool_blocks = 1 << 20;
+        assert!(total(&config) > u64::from(config.daemon.memory_limit_mb) * 1_000_000);
+    }
+}
