@@ -61,6 +61,9 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
     if let Some(n) = effort.threads {
         command.arg("--threads").arg(n.to_string());
     }
+    if let Some(mb) = effort.memory {
+        command.arg("--memory").arg(mb.to_string());
+    }
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(cannot)?;
     let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {

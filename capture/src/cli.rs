@@ -51,6 +51,16 @@ pub enum Command {
     Export(Export),
     /// Print every setting with unit, range and default, as a configuration file.
     Config(Config),
+    /// The daemon: wait for a Kinect, scan on command or by itself, publish.
+    Capture(Capture),
+    /// Start or stop a scan of the daemon, or ask what it does.
+    Scan(Scan),
+    /// Test this machine: sensor, USB, disk, memory, speed; each with the remedy.
+    Check(Check),
+    /// List the sensors that are plugged in.
+    List(List),
+    /// Record what a Kinect sends.
+    Record(Record),
     /// Say what a recording, a scan or a result holds.
     Inspect(Inspect),
 }
@@ -78,6 +88,9 @@ pub struct Effort {
     /// Worker threads [default: one a processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Memory that the estimator may ask for, in MB; it ends when it wants more.
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
+    pub memory: Option<u32>,
 }
 
 /// `lumiscan replay`.
@@ -215,6 +228,115 @@ Examples:
 pub struct Inspect {
     /// A recording, a scan or a result; what it is, is read from its contents.
     pub file: PathBuf,
+}
+
+/// `lumiscan capture`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Signals: SIGUSR1 starts a scan, SIGUSR2 ends it; SIGTERM ends the daemon, which finishes the scan at its next start.
+
+Examples:
+  lumiscan capture --device /var/lib/lumiscan --auto
+  lumiscan capture --simulate desk.lrec               the whole box on a recording; then: lumiscan scan start")]
+pub struct Capture {
+    /// Device folder, made if missing.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// Control socket [default: control in the device folder].
+    #[arg(long, value_name = "PATH", env = "LUMISCAN_SOCKET")]
+    pub socket: Option<PathBuf>,
+    /// Scans start when the sensor has been still and then moves, and end when it is still again.
+    #[arg(long)]
+    pub auto: bool,
+    /// Publish scans without estimating light and materials.
+    #[arg(long)]
+    pub no_estimate: bool,
+    /// End after so many scans.
+    #[arg(long, value_name = "N")]
+    pub scans: Option<u64>,
+    /// Worker threads [default: one a processor].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// A simulated Kinect instead of a real one: `pattern` or a recording, then `,fault=value` (see capture/README.md).
+    #[arg(long, value_name = "PLAN")]
+    pub simulate: Option<String>,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
+}
+
+/// What `lumiscan scan` asks of the daemon.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ScanOrder {
+    /// Start a scan.
+    Start,
+    /// End it.
+    Stop,
+    /// Say what the box is doing.
+    Status,
+}
+
+/// `lumiscan scan`.
+#[derive(Debug, Args)]
+pub struct Scan {
+    /// What to do.
+    pub order: ScanOrder,
+    /// Device folder of the daemon.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// Its control socket [default: /run/lumiscan/control where the service runs, otherwise in the device folder].
+    #[arg(long, value_name = "PATH", env = "LUMISCAN_SOCKET")]
+    pub socket: Option<PathBuf>,
+}
+
+/// `lumiscan check`.
+#[derive(Debug, Args)]
+pub struct Check {
+    /// Device folder.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// A simulated Kinect instead of a real one.
+    #[arg(long, value_name = "PLAN")]
+    pub simulate: Option<String>,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
+}
+
+/// `lumiscan list`.
+#[derive(Debug, Args)]
+pub struct List {
+    /// A simulated Kinect instead of a real one.
+    #[arg(long, value_name = "PLAN")]
+    pub simulate: Option<String>,
+}
+
+/// `lumiscan record`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Ends after --seconds of the device's own clock, or with Ctrl-C; the file is complete either way.
+
+Examples:
+  lumiscan record desk.lrec                           until Ctrl-C
+  lumiscan record desk.lrec --seconds 20
+  lumiscan record desk.lrec --raw                     USB packets as they came, 22 MB/s; replay decodes them
+  lumiscan record x.lrec --seconds 2 --simulate pattern,loss=0.01")]
+pub struct Record {
+    /// The recording to write (.lrec).
+    #[arg(value_name = "FILE")]
+    pub output: PathBuf,
+    /// Length.
+    #[arg(long, value_name = "N", value_parser = seconds)]
+    pub seconds: Option<f64>,
+    /// Packets instead of frames.
+    #[arg(long)]
+    pub raw: bool,
+    /// A simulated Kinect instead of a real one: `pattern` or a recording, then `,fault=value` (see capture/README.md).
+    #[arg(long, value_name = "PLAN")]
+    pub simulate: Option<String>,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
 }
 
 /// A positive, finite number of seconds.

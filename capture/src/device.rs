@@ -1,6 +1,7 @@
 //! The device folder: scans are staged in it and appear complete or not at all.
 
 use crate::failure::Failure;
+use crate::retention::UNFINISHED;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -15,6 +16,8 @@ pub struct Staging {
     folder: PathBuf,
     id: String,
     published: bool,
+    /// Left where it is if it is not published: it can be finished later.
+    keep: bool,
 }
 
 impl Staging {
@@ -29,7 +32,36 @@ impl Staging {
         let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
         let folder = scans.join(format!("{STAGING}{}-{id}", std::process::id()));
         std::fs::create_dir(&folder).map_err(|e| cannot_write(&folder, &e))?;
-        Ok(Self { scans, folder, id, published: false })
+        Ok(Self { scans, folder, id, published: false, keep: false })
+    }
+
+    /// The daemon's: `<device>/scans/.capture-…`, which only the daemon cleans up after an interrupted run.
+    ///
+    /// # Errors
+    /// The device folder cannot be written.
+    pub fn unattended(device: &Path, name: &str) -> Result<Self, Failure> {
+        let scans = device.join("scans");
+        let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
+        let folder = scans.join(format!("{UNFINISHED}{id}"));
+        std::fs::create_dir_all(&folder).map_err(|e| cannot_write(&folder, &e))?;
+        Ok(Self { scans, folder, id, published: false, keep: false })
+    }
+
+    /// One that an interrupted run left.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn resume(folder: &Path) -> Result<Self, Failure> {
+        let id = folder.file_name().and_then(|n| n.to_str()).and_then(|n| n.strip_prefix(UNFINISHED));
+        let (Some(id), Some(scans)) = (id, folder.parent()) else {
+            return Err(Failure::Internal(format!("{}: no unfinished scan", folder.display())));
+        };
+        Ok(Self { scans: scans.into(), folder: folder.into(), id: id.into(), published: false, keep: true })
+    }
+
+    /// From now on the folder outlives this process, published or not.
+    pub fn keep(&mut self) {
+        self.keep = true;
     }
 
     /// Where the scan's files are written.
@@ -65,7 +97,7 @@ impl Staging {
 
 impl Drop for Staging {
     fn drop(&mut self) {
-        if !self.published {
+        if !self.published && !self.keep {
             let _ = std::fs::remove_dir_all(&self.folder);
         }
     }

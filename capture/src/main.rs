@@ -2,17 +2,37 @@
 
 mod child;
 mod cli;
+mod clock;
 mod commands;
+mod control;
+mod daemon;
+mod decode;
+mod depth;
 mod device;
+mod disk;
 mod failure;
+mod kinect;
+mod live;
 mod manifest;
 mod memory;
+mod motion;
+mod notify;
+mod packet;
 mod pair;
 mod pipeline;
+mod protocol;
+mod publish;
 mod report;
+mod retention;
+mod sensor;
+mod sim;
 mod source;
+mod status;
 mod stop;
+mod streaming;
 mod trajectory;
+mod transport;
+mod usb;
 
 use clap::Parser;
 use failure::Failure;

@@ -1,10 +1,65 @@
-//! How much memory this process has needed.
+//! How much memory this process has needed, and may need.
+
+use crate::failure::Failure;
+use firmware_config::{Config, memory_plan};
 
 /// Peak resident memory of this process in bytes; `None` where the system does not say.
 #[must_use]
 pub fn peak_bytes() -> Option<u64> {
+    field("VmHWM:")
+}
+
+/// Resident memory of this process in bytes.
+#[must_use]
+pub fn resident_bytes() -> Option<u64> {
+    field("VmRSS:")
+}
+
+/// Makes this process the first to go where memory runs out, and ends it alone when it asks for more than `mb`.
+///
+/// # Errors
+/// The system refuses the limit.
+pub fn limit(mb: Option<u32>) -> Result<(), Failure> {
+    // Raising one's own is always allowed on Linux; elsewhere there is nothing to raise.
+    let _ = std::fs::write("/proc/self/oom_score_adj", "800");
+    let Some(mb) = mb else { return Ok(()) };
+    let bytes = Some(u64::from(mb) * 1_000_000);
+    let old = rustix::process::getrlimit(rustix::process::Resource::As);
+    let new = rustix::process::Rlimit { current: bytes, maximum: old.maximum };
+    rustix::process::setrlimit(rustix::process::Resource::As, new)
+        .map_err(|e| Failure::Usage(format!("--memory {mb}: {e}; a harder limit is set already")))
+}
+
+/// Bytes that the capture process can come to hold with these settings.
+///
+/// # Errors
+/// More than they allow.
+pub fn planned(config: &Config) -> Result<u64, Failure> {
+    let total = memory_plan(config).iter().map(|p| p.bytes).sum();
+    let limit = u64::from(config.daemon.memory_limit_mb) * 1_000_000;
+    if total <= limit {
+        return Ok(total);
+    }
+    Err(Failure::Usage(format!(
+        "the memory plan comes to {} MB, daemon.memory_limit_mb allows {}; lower fusion.pool_blocks, or raise the limit \
+         (`lumiscan check` shows the plan)",
+        total / 1_000_000,
+        config.daemon.memory_limit_mb
+    )))
+}
+
+/// Memory of the machine in bytes.
+#[must_use]
+pub fn machine_bytes() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let kib: u64 =
+        text.lines().find_map(|l| l.strip_prefix("MemTotal:"))?.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
+fn field(name: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    let line = status.lines().find_map(|l| l.strip_prefix(name))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }

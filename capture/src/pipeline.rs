@@ -2,18 +2,21 @@
 //!
 //!     read ──2──▶ decode ──2──▶ fuse (this thread) ──4──▶ disk
 //!
-//! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine.
+//! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine. With
+//! a live sensor the oldest pair waiting for `decode` gives way, and is counted.
 
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
 use crate::source::{Pairs, RawPair};
+use crate::status::{Board, State};
 use crate::stop::Stop;
-use crossbeam_channel::{Receiver, Sender, bounded};
+use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use firmware_config::Config;
 use fusion::{Fusion, FusionError, FusionOutput, Tracking};
 use recordings::scan::{CaptureStats, FrameId, ScanTail, ScanWriter};
 use recordings::types::{ColorFrame, Pose, RgbdFrame, Sensor, TimestampNs};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{Scope, ScopedJoinHandle};
 use std::time::{Duration, Instant};
 
@@ -52,19 +55,27 @@ enum ToDisk {
     Finish(Box<ScanTail>),
 }
 
-/// Plays `pairs` into a scan file at `scan_path`.
+/// What is captured, and where to.
+#[derive(Clone, Copy)]
+pub struct Job<'a> {
+    /// Name of the scan.
+    pub name: &'a str,
+    /// What its source is called.
+    pub source: &'a Path,
+    /// The scan file to write.
+    pub scan: &'a Path,
+    /// Settings.
+    pub config: &'a Config,
+    /// Where the figures of a live scan are shown.
+    pub board: Option<&'a Board>,
+}
+
+/// Plays `pairs` into a scan file.
 ///
 /// # Errors
 /// The source is damaged, the disk full, tracking never held, or a signal came.
-pub fn run(
-    pairs: Pairs,
-    name: &str,
-    source_path: &Path,
-    scan_path: &Path,
-    config: &Config,
-    stop: &Stop,
-    reporter: &Reporter,
-) -> Result<Captured, Failure> {
+pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Result<Captured, Failure> {
+    let Job { name, source: source_path, scan: scan_path, config, board } = *job;
     let sensor = pairs.sensor(&config.capture);
     let bad_input =
         |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
@@ -74,14 +85,18 @@ pub fn run(
     let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);
     let (frame_out, frame_in) = bounded::<Played>(QUEUED_FRAMES);
     let (disk_out, disk_in) = bounded::<ToDisk>(QUEUED_KEYFRAMES);
+    let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        let reader = start(scope, "read", move || read(pairs, &raw_out));
+        // Live, the oldest waiting pair gives way; otherwise the reader waits.
+        let way = pairs.gives_way().then(|| GivesWay { oldest: raw_in.clone(), over: &over });
+        let reader = start(scope, "read", move || read(pairs, &raw_out, way, board));
         let path: PathBuf = source_path.into();
         let decoder = start(scope, "decode", move || decode(&raw_in, &frame_out, &path));
         let disk = start(scope, "disk", move || write(writer, &disk_in));
 
-        let fused = fuse(fusion, &frame_in, &disk_out, stop, reporter, bad_input);
+        let fused = fuse(fusion, &frame_in, &disk_out, stop, Told { reporter, board, config }, bad_input);
         // Lets the stages before this one end, should it have ended first.
+        over.store(true, Ordering::Relaxed);
         drop(frame_in);
         // What went wrong first stands nearest to the source.
         let capture_stats = join(reader)?;
@@ -109,13 +124,50 @@ pub fn run(
     })
 }
 
-fn read(mut pairs: Pairs, out: &Sender<RawPair>) -> Result<CaptureStats, Failure> {
+/// What a reader needs that never waits.
+struct GivesWay<'a> {
+    /// The queue's other end: where it is full, its oldest pair goes.
+    oldest: Receiver<RawPair>,
+    /// Set when nobody listens any more, which `oldest` hides from the sender.
+    over: &'a AtomicBool,
+}
+
+fn read(
+    mut pairs: Pairs,
+    out: &Sender<RawPair>,
+    way: Option<GivesWay<'_>>,
+    board: Option<&Board>,
+) -> Result<CaptureStats, Failure> {
+    let mut dropped_pairs = 0;
     while let Some(pair) = pairs.next_pair()? {
-        if out.send(pair).is_err() {
+        let sent = match &way {
+            Some(way) => send_newest(pair, out, way, &mut dropped_pairs),
+            None => out.send(pair).is_ok(),
+        };
+        if let Some(board) = board {
+            board.pairing(&CaptureStats { dropped_pairs, ..pairs.stats() });
+        }
+        if !sent {
             break;
         }
     }
-    Ok(pairs.stats())
+    Ok(CaptureStats { dropped_pairs, ..pairs.stats() })
+}
+
+/// Sends without waiting: where the queue is full, its oldest pair is dropped and counted. False if nobody listens.
+fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, way: &GivesWay<'_>, dropped: &mut u64) -> bool {
+    while !way.over.load(Ordering::Relaxed) {
+        match out.try_send(pair) {
+            Ok(()) => return true,
+            Err(TrySendError::Disconnected(_)) => return false,
+            Err(TrySendError::Full(back)) => {
+                // The stage behind may have taken it meanwhile.
+                *dropped += u64::from(way.oldest.try_recv().is_ok());
+                pair = back;
+            }
+        }
+    }
+    false
 }
 
 fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<(), Failure> {
@@ -144,6 +196,13 @@ fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure>
     Ok(())
 }
 
+/// Who is told of fusion's progress, and the settings it runs with.
+struct Told<'a> {
+    reporter: &'a Reporter,
+    board: Option<&'a Board>,
+    config: &'a Config,
+}
+
 struct Fused {
     output: FusionOutput,
     trajectory: Vec<(TimestampNs, Pose)>,
@@ -156,9 +215,10 @@ fn fuse(
     frames: &Receiver<Played>,
     disk: &Sender<ToDisk>,
     stop: &Stop,
-    reporter: &Reporter,
+    told: Told<'_>,
     bad_input: impl Fn(FusionError) -> Failure,
 ) -> Result<Fused, Failure> {
+    let Told { reporter, board, config } = told;
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
@@ -177,6 +237,10 @@ fn fuse(
         if report.coarsened {
             tracing::warn!("the voxel pool ran full: the volume goes on with twice the voxel size");
         }
+        if let Some(board) = board {
+            let block_m = 8.0 * config.fusion.voxel_size_m;
+            board.fused(!now_lost, report.keep.is_some(), report.blocks_used, block_m);
+        }
         if let Some(id) = report.keep {
             kept += 1;
             // Fails only if the disk thread has ended, whose own error is told.
@@ -190,6 +254,9 @@ fn fuse(
     }
     stop.check()?;
     let extract = Instant::now();
+    if let Some(board) = board {
+        board.enter(State::Finishing);
+    }
     reporter.step(&Step { stage: "mesh".into(), fraction: None, detail: String::new() });
     let mut output = fusion.finish();
     let trajectory = std::mem::take(&mut output.trajectory);
@@ -252,4 +319,78 @@ fn start<'scope, T: Send + 'scope>(
 
 fn join<T>(thread: Result<ScopedJoinHandle<'_, Result<T, Failure>>, Failure>) -> Result<T, Failure> {
     thread?.join().unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::Orders;
+    use crate::kinect::Kinect;
+    use crate::live::Live;
+    use crate::memory::resident_bytes;
+    use crate::sensor;
+    use crate::sim::{SimBus, SimPlan};
+    use crate::streaming::{Conditions, Streaming};
+    use firmware_config::DaemonConfig;
+    use std::sync::Arc;
+
+    /// Ten minutes on the device's own clock, as fast as it goes, with a counting consumer in the place of fusion.
+    #[test]
+    fn ten_minutes_of_capture_with_every_drop_accounted_for_and_flat_memory() {
+        const FRAMES: u64 = 18_000;
+        let device = tempfile::tempdir().unwrap();
+        let plan = "pattern,fast,hasty,frames=18000,loss=0.0002,burst=0.00001,truncate=0.0001,garbage=0.0001";
+        let mut bus = SimBus::new(SimPlan::parse(plan).unwrap());
+        let mut config = Config::default();
+        (config.daemon.max_scan_s, config.daemon.min_free_mb, config.kinect.accelerometer_hz) = (3600.0, 1, 1);
+        let kinect = Kinect::open(&mut bus, "", &config.kinect).unwrap();
+        let described = sensor::describe(&kinect, &config);
+        let live = Live::start(kinect, &config.kinect).unwrap();
+        let board = Arc::new(Board::default());
+        let conditions = Conditions {
+            orders: Orders::default(),
+            stop: Stop::default(),
+            board: Arc::clone(&board),
+            auto: false,
+            config: DaemonConfig { ..config.daemon.clone() },
+            device: device.path().into(),
+        };
+        let pairs = Pairs::live(Streaming::new(live, described, conditions), &config.capture);
+        assert!(pairs.gives_way());
+        let (out, waiting) = bounded(QUEUED_FRAMES);
+        let oldest = waiting.clone();
+        let reader = std::thread::spawn(move || {
+            let over = AtomicBool::new(false);
+            let outcome = read(pairs, &out, Some(GivesWay { oldest, over: &over }), None);
+            drop(out);
+            outcome
+        });
+        let (mut taken, mut last, mut settled) = (0u64, i64::MIN, 0);
+        for RawPair { color, depth, .. } in waiting {
+            assert!(color.timestamp_ns > last && (color.timestamp_ns - depth.timestamp_ns).abs() < 1_000_000);
+            (taken, last) = (taken + 1, color.timestamp_ns);
+            // Now and then slower than the sensor.
+            if taken % 64 == 0 {
+                std::thread::sleep(Duration::from_millis(4));
+            }
+            if taken == 500 {
+                settled = resident_bytes().unwrap();
+            }
+        }
+        let grown = resident_bytes().unwrap().saturating_sub(settled);
+        let stats = reader.join().unwrap().unwrap();
+        let (log, drops) = (bus.log(), board.get().drops);
+        println!("{taken} pairs taken; {stats:?}; {drops:?}; {grown} bytes grown; {log:?}");
+        assert_eq!((log.depth.frames, log.color.frames, log.complaints.len()), (FRAMES, FRAMES, 0));
+        assert_eq!(stats.pairs, taken + stats.dropped_pairs);
+        assert_eq!(stats.depth_frames, stats.pairs + stats.unpaired_depth);
+        assert_eq!(stats.color_frames, stats.pairs + stats.unpaired_color);
+        // Both streams together; what is not given out is lost, and counted.
+        assert_eq!(stats.depth_frames + stats.color_frames + drops.lost_frames, 2 * FRAMES);
+        let spoilt = log.depth.lost + log.color.lost + log.depth.spoilt + log.color.spoilt;
+        assert_eq!(stats.missing_packets, spoilt, "a packet that did not come as it was sent is missing");
+        assert_eq!((drops.ring_packets, drops.flagged_packets), (0, 0));
+        assert!(stats.incomplete_frames > 100 && stats.incomplete_frames <= stats.missing_packets);
+        assert!(grown < 48 << 20, "{grown} bytes");
+    }
 }

@@ -1,13 +1,102 @@
-//! Where frames come from: a recording or a TUM folder, played as pairs in order of time.
+//! Where frames come from: a recording, a TUM folder or a Kinect, played as pairs in order of time.
 
+use crate::decode::Decoder;
 use crate::failure::Failure;
 use crate::pair::{Decided, Pairer};
-use firmware_config::{CaptureConfig, ResponseChoice};
-use recordings::recording::Event;
+use crate::sensor;
+use crate::streaming::Streaming;
+use firmware_config::CaptureConfig;
+use recordings::recording::{Event, RecordingKind, RecordingReader};
 use recordings::scan::CaptureStats;
 use recordings::source::FrameSource;
-use recordings::types::{ColorFrame, DepthFrame, Response, Sensor, TimestampNs};
+use recordings::types::{ColorFrame, DepthFrame, Sensor, TimestampNs};
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+
+/// Where events come from.
+pub enum Source {
+    /// A recording of frames or a TUM folder.
+    Frames(Box<FrameSource>),
+    /// A recording of USB packets: everything behind USB runs again.
+    Packets(Box<Packets>),
+    /// A Kinect that streams.
+    Kinect(Box<Streaming>),
+}
+
+/// A recording of packets, and the frames that came of them and are yet to be taken.
+pub struct Packets {
+    reader: RecordingReader,
+    decoder: Decoder,
+    frames: VecDeque<Event>,
+}
+
+impl Source {
+    /// Opens a recording or a TUM folder.
+    fn open(path: &Path) -> Result<Self, Failure> {
+        if path.is_file() {
+            let reader = RecordingReader::open(path)?;
+            if reader.kind() == RecordingKind::Packets {
+                let packets = Packets { reader, decoder: Decoder::default(), frames: VecDeque::new() };
+                return Ok(Self::Packets(Box::new(packets)));
+            }
+        }
+        Ok(Self::Frames(Box::new(FrameSource::open(path)?)))
+    }
+
+    fn sensor(&self) -> &Sensor {
+        match self {
+            Self::Frames(s) => s.sensor(),
+            Self::Packets(p) => p.reader.sensor(),
+            Self::Kinect(k) => k.sensor(),
+        }
+    }
+
+    /// Event number `index`. Packets and a Kinect have them in order only.
+    fn event(&mut self, index: usize, path: &Path) -> Result<Option<Event>, Failure> {
+        match self {
+            Self::Frames(s) => Ok(s.event(index)?),
+            Self::Packets(p) => p.next_event(path),
+            Self::Kinect(k) => Ok(k.next_event()),
+        }
+    }
+
+    fn progress(&self, index: usize) -> f64 {
+        match self {
+            Self::Frames(s) => s.progress(index),
+            Self::Packets(p) => p.reader.position() as f64 / p.reader.file_bytes() as f64,
+            Self::Kinect(_) => 0.0,
+        }
+    }
+
+    /// Packets that did not come, where they are known: with those of frames that never came.
+    fn missing_packets(&self) -> Option<u64> {
+        let streams = match self {
+            Self::Frames(_) => return None,
+            Self::Packets(p) => p.decoder.stats(),
+            Self::Kinect(k) => return Some(k.missing_packets()),
+        };
+        Some(streams.depth.missing + streams.color.missing)
+    }
+}
+
+impl Packets {
+    fn next_event(&mut self, path: &Path) -> Result<Option<Event>, Failure> {
+        loop {
+            if let Some(frame) = self.frames.pop_front() {
+                return Ok(Some(frame));
+            }
+            match self.reader.next_event()? {
+                Some(Event::Packet(p)) => {
+                    let frames = &mut self.frames;
+                    self.decoder
+                        .push(p.endpoint, p.timestamp_ns, &p.data, &mut |frame| frames.push_back(frame))
+                        .map_err(|e| Failure::Input(format!("{}: {e}; record again", path.display())))?;
+                }
+                other => return Ok(other),
+            }
+        }
+    }
+}
 
 /// A colour frame and the depth frame of the same instant, as they came.
 #[derive(Debug)]
@@ -22,7 +111,7 @@ pub struct RawPair {
 
 /// The pairs of a source, played forward and backward in turns.
 pub struct Pairs {
-    source: FrameSource,
+    source: Source,
     /// Number of the next event of the first turn.
     next: usize,
     path: PathBuf,
@@ -60,10 +149,24 @@ impl Pairs {
     /// # Errors
     /// There is nothing of that name, or it is damaged.
     pub fn open(path: &Path, plays: u32, config: &CaptureConfig) -> Result<Self, Failure> {
-        let source = FrameSource::open(path)?;
+        let source = Source::open(path)?;
+        if plays > 1 && matches!(source, Source::Packets(_)) {
+            let problem = "holds USB packets, which play forward only; leave --loop out, or record without --raw";
+            return Err(Failure::Usage(format!("{}: {problem}", path.display())));
+        }
+        Ok(Self::new(source, path, plays, config))
+    }
+
+    /// Of a Kinect that streams.
+    #[must_use]
+    pub fn live(streaming: Streaming, config: &CaptureConfig) -> Self {
+        Self::new(Source::Kinect(Box::new(streaming)), Path::new("kinect"), 1, config)
+    }
+
+    fn new(source: Source, path: &Path, plays: u32, config: &CaptureConfig) -> Self {
         let stated = source.sensor().depth_to_color_offset_ns;
         let configured = ms_to_ns(config.depth_to_color_offset_ms);
-        Ok(Self {
+        Self {
             pairer: Pairer::new(ms_to_ns(config.max_pair_gap_ms)),
             depth_offset_ns: if stated == 0 { configured } else { stated },
             source,
@@ -74,7 +177,13 @@ impl Pairs {
             replayed: None,
             stats: CaptureStats::default(),
             span: None,
-        })
+        }
+    }
+
+    /// True if the source does not wait for who reads.
+    #[must_use]
+    pub fn gives_way(&self) -> bool {
+        matches!(&self.source, Source::Kinect(k) if k.gives_way())
     }
 
     /// The sensor, with what the source does not say filled in from the configuration.
@@ -82,11 +191,8 @@ impl Pairs {
     pub fn sensor(&self, config: &CaptureConfig) -> Sensor {
         let mut sensor = self.source.sensor().clone();
         sensor.depth_to_color_offset_ns = self.depth_offset_ns;
-        if matches!(self.source, FrameSource::Tum(_)) {
-            sensor.response = match config.response {
-                ResponseChoice::Srgb => Response::Srgb,
-                ResponseChoice::Linear => Response::Linear,
-            };
+        if matches!(&self.source, Source::Frames(s) if matches!(**s, FrameSource::Tum(_))) {
+            sensor.response = sensor::response(config.response);
         }
         sensor
     }
@@ -95,7 +201,8 @@ impl Pairs {
     #[must_use]
     pub fn stats(&self) -> CaptureStats {
         let duration_s = self.span.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9);
-        CaptureStats { duration_s, ..self.stats.clone() }
+        let missing_packets = self.source.missing_packets().unwrap_or(self.stats.missing_packets);
+        CaptureStats { duration_s, missing_packets, ..self.stats.clone() }
     }
 
     /// The next pair; `None` at the end of the last turn.
@@ -140,7 +247,7 @@ impl Pairs {
                 }
                 Some(Decided::Color(_)) => self.stats.unpaired_color += 1,
                 Some(Decided::Depth(_)) => self.stats.unpaired_depth += 1,
-                None => match self.source.event(self.next)? {
+                None => match self.source.event(self.next, &self.path)? {
                     Some(event) => self.take(event)?,
                     None if self.pairer.end() => {}
                     None => return Ok(None),
@@ -213,7 +320,7 @@ impl Pairs {
             }
             (false, n) => turn.next = n + 1,
         }
-        let (color, depth) = (self.source.event(place.color)?, self.source.event(place.depth)?);
+        let (color, depth) = (self.source.event(place.color, &self.path)?, self.source.event(place.depth, &self.path)?);
         let (Some(Event::Color(mut color)), Some(Event::Depth(depth))) = (color, depth) else {
             return Err(Failure::Input(format!("{}: changed while it was played; play a copy", self.path.display())));
         };

@@ -184,7 +184,10 @@ impl Fusion {
         let coarsened = self.make_room();
         // What the next frames are tracked against.
         stage("remember", || self.remember(&pose));
-        let keep = stage("keyframes", || self.candidates.offer(&self.frame, &pose, &self.config));
+        // A picture with holes is no keyframe.
+        let whole = frame.color.missing_packets == 0;
+        let offer = || whole.then(|| self.candidates.offer(&self.frame, &pose, &self.config)).flatten();
+        let keep = stage("keyframes", offer);
         std::mem::swap(&mut self.frame, &mut self.last);
         Ok(FrameReport {
             tracking: Tracking::Tracked,

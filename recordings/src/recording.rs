@@ -358,12 +358,14 @@ impl RecordingReader {
     }
 
     /// Where the next chunk begins.
-    pub(crate) fn position(&self) -> u64 {
+    #[must_use]
+    pub fn position(&self) -> u64 {
         self.file.offset()
     }
 
     /// Length of the file.
-    pub(crate) fn file_bytes(&self) -> u64 {
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
         self.file.file_bytes()
     }
 

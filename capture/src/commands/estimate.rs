@@ -20,6 +20,7 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     let budget = Duration::from_secs_f64(args.effort.budget);
     let output = args.output.clone().unwrap_or_else(|| beside(&args.scan));
     check_parent(&output)?;
+    memory::limit(args.effort.memory)?;
     use_threads(args.effort.threads)?;
     if args.effort.rounds.is_none() {
         reporter.set_deadline(started + budget);

@@ -1,11 +1,16 @@
 //! One file a command.
 
+mod capture;
+mod check;
 mod config;
 mod estimate;
 mod export;
 mod import;
 mod inspect;
+mod list;
+mod record;
 mod replay;
+mod scan;
 
 use crate::cli::{Cli, Command, Settings};
 use crate::failure::Failure;
@@ -25,6 +30,11 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
         Command::Import(a) => import::run(a),
         Command::Export(a) => export::run(a),
         Command::Config(a) => config::run(a, cli.json),
+        Command::Capture(a) => capture::run(a, reporter),
+        Command::Scan(a) => scan::run(a, cli.json),
+        Command::Check(a) => check::run(a, cli.json),
+        Command::List(a) => list::run(a, cli.json),
+        Command::Record(a) => record::run(a, cli.json, reporter),
         Command::Inspect(a) => inspect::run(a, cli.json),
     }
 }

@@ -1,0 +1,43 @@
+//! `lumiscan capture`: the daemon.
+
+use super::{load, use_threads};
+use crate::cli;
+use crate::control::{Orders, Server};
+use crate::daemon::Daemon;
+use crate::failure::Failure;
+use crate::notify::Notifier;
+use crate::report::Reporter;
+use crate::status::{self, Board};
+use crate::stop::Stop;
+use crate::{memory, sensor};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Runs the command.
+pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
+    let config = load(&args.settings)?;
+    use_threads(args.threads)?;
+    let plan = memory::planned(&config)?;
+    let bus = sensor::bus(args.simulate.as_ref())?;
+    std::fs::create_dir_all(&args.device).map_err(|e| Failure::writing(&args.device, e))?;
+    let socket = args.socket.clone().unwrap_or_else(|| args.device.join("control"));
+    let server = Server::listen(&socket)?;
+    let stop = Stop::on_signals()?;
+    let orders = Orders::default();
+    orders.by_signals()?;
+
+    let board = Arc::new(Board::default());
+    board.set(|s| (s.auto, s.memory_plan_bytes) = (args.auto, plan));
+    let done = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| server.serve(&board, &orders, &done));
+        scope.spawn(|| status::publish(&board, &args.device, &stop, &done));
+        Notifier::from_environment().send("READY=1");
+        let daemon = Daemon { args, config: &config, board: &board, orders: &orders, stop: &stop, reporter };
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| daemon.run(bus)))
+            .unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())));
+        Notifier::from_environment().send("STOPPING=1");
+        done.store(true, Ordering::Relaxed);
+        outcome
+    })
+}

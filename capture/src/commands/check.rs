@@ -1,0 +1,337 @@
+//! `lumiscan check`: whether this machine can do the work, and what to do where it cannot.
+
+use super::{load, print, print_json};
+use crate::cli;
+use crate::disk;
+use crate::failure::Failure;
+use crate::memory;
+use crate::sensor;
+use crate::transport::{Found, UsbError};
+use estimator::scene::Scene;
+use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
+use firmware_config::{Config, memory_plan};
+use glam::Vec3;
+use recordings::types::Mesh;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Verdict on one thing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Verdict {
+    /// Good.
+    Ok,
+    /// Works, but could be better.
+    Warning,
+    /// Does not work.
+    Failed,
+}
+
+/// One thing that was looked at.
+#[derive(Debug, Serialize)]
+struct Finding {
+    what: &'static str,
+    verdict: Verdict,
+    detail: String,
+    /// What to do about it.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    remedy: String,
+}
+
+fn finding(what: &'static str, verdict: Verdict, detail: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    let remedy = if verdict == Verdict::Ok { String::new() } else { remedy.into() };
+    Finding { what, verdict, detail: detail.into(), remedy }
+}
+
+/// Memory that the kernel must grant for isochronous transfers, in MB.
+const USBFS_MB: u64 = (2 * TRANSFERS * PACKETS_PER_TRANSFER * MAX_ISO_PACKET) as u64 / 1_000_000 + 1;
+/// Bytes of a scan, result and preview at most, as a rule.
+const SCAN_BYTES: u64 = 150_000_000;
+/// Rays of the speed test.
+const RAYS: u32 = 400_000;
+/// Vertices and rays a vertex of a usual scan: what the time is estimated for.
+const USUAL_VERTICES: f64 = 60_000.0;
+const USUAL_RAYS: f64 = 250.0;
+/// Seconds of the estimator's other stages at 60 000 vertices, per million rays a second of this machine.
+const OTHER_STAGES: f64 = 60.0;
+
+/// Runs the command.
+pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
+    let config = load(&args.settings)?;
+    let mut bus = sensor::bus(args.simulate.as_ref())?;
+    let found = bus.list().unwrap_or_default();
+    let mut findings = vec![sensor_found(&found)];
+    if let Some(kinect) = found.first() {
+        findings.push(camera_settings(kinect, &config));
+        findings.push(controller(kinect, Path::new("/sys/bus/usb/devices")));
+    }
+    findings.push(usbfs_memory(Path::new("/sys/module/usbcore/parameters/usbfs_memory_mb")));
+    findings.extend(disk_findings(&args.device, &config));
+    findings.push(memory_finding(&config));
+    findings.push(speed());
+
+    if as_json {
+        print_json(&findings)?;
+    } else {
+        for f in &findings {
+            let mark = match f.verdict {
+                Verdict::Ok => "ok     ",
+                Verdict::Warning => "warning",
+                Verdict::Failed => "FAILED ",
+            };
+            print(&format!("{mark}  {:<12} {}", f.what, f.detail))?;
+            if !f.remedy.is_empty() {
+                print(&format!("         {:<12} → {}", "", f.remedy))?;
+            }
+        }
+        print("\nmemory plan of the capture process:")?;
+        for part in memory_plan(&config) {
+            print(&format!("  {:>8.1} MB  {}", part.bytes as f64 / 1e6, part.name))?;
+        }
+    }
+    if found.is_empty() {
+        return Err(sensor::failure(UsbError::NoDevice));
+    }
+    let failed: Vec<_> = findings.iter().filter(|f| f.verdict == Verdict::Failed).map(|f| f.what).collect();
+    if failed.is_empty() { Ok(()) } else { Err(Failure::Internal(format!("not ready: {}", failed.join(", ")))) }
+}
+
+fn sensor_found(found: &[Found]) -> Finding {
+    let remedy = "plug in a Kinect V1 and its power supply; without its 12 V only the motor shows";
+    let Some(k) = found.first() else { return finding("kinect", Verdict::Failed, "none is plugged in", remedy) };
+    let name = format!("{} {} on bus {}", k.model.name(), k.serial, k.bus);
+    if !k.accessible {
+        let remedy = "install 60-lumiscan.rules and join group lumiscan (firmware-config/appliance/INSTALL.md)";
+        return finding("kinect", Verdict::Failed, format!("{name} may not be opened by this user"), remedy);
+    }
+    if found.len() > 1 {
+        let remedy = "name one with kinect.serial; each needs a USB 2 controller of its own";
+        return finding(
+            "kinect",
+            Verdict::Warning,
+            format!("{} of them; the first is used: {name}", found.len()),
+            remedy,
+        );
+    }
+    finding("kinect", Verdict::Ok, name, "")
+}
+
+/// Whether anything is known of this camera, or defaults are used.
+fn camera_settings(k: &Found, config: &Config) -> Finding {
+    let (camera, own) = config.camera_of(&k.serial);
+    let response = firmware_config::kinect::response_text(camera.response);
+    if own {
+        return finding(
+            "camera",
+            Verdict::Ok,
+            format!("settings of its own for {}, response {response}", k.serial),
+            "",
+        );
+    }
+    let detail = format!(
+        "defaults: fx {} fy {} cx {} cy {}, {} distortion, depth–colour offset {} ms, response {response}",
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+        if [camera.k1, camera.k2, camera.p1, camera.p2, camera.k3] == [0.0; 5] { "no" } else { "with" },
+        camera.depth_to_color_offset_ms
+    );
+    finding(
+        "camera",
+        Verdict::Warning,
+        detail,
+        format!("calibrate it and add a table [camera.{}] to the settings", k.serial),
+    )
+}
+
+/// Other devices on the Kinect's bus: its two streams reserve 246 of a USB 2 controller's 480 Mb/s.
+fn controller(k: &Found, sysfs: &Path) -> Finding {
+    let read = |dir: &Path, name: &str| std::fs::read_to_string(dir.join(name)).unwrap_or_default().trim().to_owned();
+    let prefix = format!("{}-", k.bus);
+    let mut others = Vec::new();
+    for entry in std::fs::read_dir(sysfs).into_iter().flatten().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        // Interfaces have a colon; hubs are class 9; Microsoft's are the Kinect's own parts.
+        let dir = entry.path();
+        if name.starts_with(&prefix)
+            && !name.contains(':')
+            && read(&dir, "bDeviceClass") != "09"
+            && read(&dir, "idVendor") != "045e"
+        {
+            others.push(format!(
+                "{} {}",
+                read(&dir, "idVendor") + ":" + &read(&dir, "idProduct"),
+                read(&dir, "product")
+            ));
+        }
+    }
+    let speed = read(&sysfs.join(format!("usb{}", k.bus)), "speed");
+    if !others.is_empty() {
+        let remedy = "plug the Kinect into a USB 2 controller of its own; another port may be on another controller";
+        return finding("controller", Verdict::Warning, format!("shared with {}", others.join(", ")), remedy);
+    }
+    if speed.parse::<u32>().is_ok_and(|s| s < 480) {
+        return finding(
+            "controller",
+            Verdict::Failed,
+            format!("{speed} Mb/s"),
+            "the Kinect needs 480 Mb/s: use a USB 2 port",
+        );
+    }
+    finding("controller", Verdict::Ok, "the Kinect has it for itself", "")
+}
+
+fn usbfs_memory(parameter: &Path) -> Finding {
+    let Some(mb) = std::fs::read_to_string(parameter).ok().and_then(|t| t.trim().parse::<u64>().ok()) else {
+        return finding("usbfs memory", Verdict::Warning, "the kernel does not say", "load the module usbcore");
+    };
+    // 0 means no limit.
+    let verdict = if mb == 0 || mb >= 4 * USBFS_MB { Verdict::Ok } else { Verdict::Failed };
+    let remedy = "boot with usbcore.usbfs_memory_mb=16";
+    finding("usbfs memory", verdict, format!("{mb} MB, {USBFS_MB} MB are used"), remedy)
+}
+
+fn disk_findings(device: &Path, config: &Config) -> Vec<Finding> {
+    // The device folder may be yet to be made.
+    let folder: PathBuf = device.ancestors().find(|a| a.is_dir()).unwrap_or(Path::new(".")).into();
+    let mut findings = Vec::new();
+    match disk::free_bytes(&folder) {
+        Ok(free) => {
+            let needed = u64::from(config.daemon.min_free_mb) * 1_000_000 + SCAN_BYTES;
+            let verdict = if free > 4 * needed {
+                Verdict::Ok
+            } else if free > needed {
+                Verdict::Warning
+            } else {
+                Verdict::Failed
+            };
+            let scans = free.saturating_sub(needed - SCAN_BYTES) / SCAN_BYTES;
+            let detail = format!("{:.1} GB free, room for about {scans} scans", free as f64 / 1e9);
+            findings.push(finding("disk", verdict, detail, "free some, or choose another device folder"));
+        }
+        Err(e) => findings.push(finding("disk", Verdict::Failed, e.to_string(), "choose another device folder")),
+    }
+    match disk::write_speed(&folder) {
+        Ok(speed) => {
+            let verdict = if speed > 27e6 { Verdict::Ok } else { Verdict::Warning };
+            let detail = format!("{:.0} MB/s written", speed / 1e6);
+            findings.push(finding(
+                "disk speed",
+                verdict,
+                detail,
+                "scans need 5 MB/s; `record` needs 20, `record --raw` 27",
+            ));
+        }
+        Err(e) => findings.push(finding("disk speed", Verdict::Failed, e.to_string(), "choose another device folder")),
+    }
+    findings
+}
+
+fn memory_finding(config: &Config) -> Finding {
+    let plan: u64 = memory_plan(config).iter().map(|p| p.bytes).sum();
+    let estimator = u64::from(config.daemon.estimator_limit_mb) * 1_000_000;
+    let total = memory::machine_bytes().unwrap_or(u64::MAX);
+    let shown = format!(
+        "plan {} MB for capture, {} MB for the estimator; the machine has {} MB",
+        plan / 1_000_000,
+        estimator / 1_000_000,
+        total / 1_000_000
+    );
+    if let Err(e) = memory::planned(config) {
+        return finding("memory", Verdict::Failed, shown, e.to_string());
+    }
+    let verdict = if plan + estimator < total / 10 * 9 { Verdict::Ok } else { Verdict::Failed };
+    finding("memory", verdict, shown, "lower fusion.pool_blocks and daemon.estimator_limit_mb")
+}
+
+/// How fast rays are traced, and what that means for a usual scan.
+fn speed() -> Finding {
+    let mesh = bumpy_plane(140);
+    let scene = Scene::new(&mesh);
+    let began = Instant::now();
+    let mut hits = 0u32;
+    for i in 0..RAYS {
+        // Directions over the half sphere below, by a golden-ratio sequence.
+        let turn = i as f32 * 0.618_034;
+        let (x, y) = (turn.fract() - 0.5, (turn * 0.618_034).fract() - 0.5);
+        let direction = Vec3::new(x, y, -0.6).normalize();
+        hits += u32::from(scene.closest_hit(Vec3::new(-x, y, 0.5), direction).is_some());
+    }
+    let rate = f64::from(RAYS) / began.elapsed().as_secs_f64().max(1e-6);
+    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as f64;
+    let all = rate * threads;
+    let seconds = USUAL_VERTICES * USUAL_RAYS / all + OTHER_STAGES * 1e6 / all.max(1.0);
+    let verdict = if seconds < 120.0 { Verdict::Ok } else { Verdict::Warning };
+    let detail = format!(
+        "{:.2} million rays a second and thread ({hits} of {RAYS} hit), {threads} threads: about {seconds:.0} s for light and materials of 60 000 vertices",
+        rate / 1e6
+    );
+    finding("tracing", verdict, detail, "the estimator keeps to daemon.budget_s by tracing less: it says what it cut")
+}
+
+/// A square of 1 m with waves, `2 n²` triangles.
+fn bumpy_plane(n: u32) -> Mesh {
+    let at = |i: u32| i as f32 / n as f32 - 0.5;
+    let height = |x: f32, y: f32| 0.05 * libm::sinf(20.0 * x) * libm::sinf(23.0 * y);
+    let positions =
+        (0..(n + 1) * (n + 1)).map(|k| (at(k % (n + 1)), at(k / (n + 1)))).map(|(x, y)| Vec3::new(x, y, height(x, y)));
+    let triangles = (0..n * n).flat_map(|k| {
+        let a = k / n * (n + 1) + k % n;
+        [[a, a + 1, a + n + 1], [a + 1, a + n + 2, a + n + 1]]
+    });
+    Mesh { positions: positions.collect(), normals: Vec::new(), triangles: triangles.collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use firmware_config::kinect_models::Model;
+
+    fn kinect() -> Found {
+        Found { model: Model::K1414, serial: "A1".into(), bus: 3, path: "1.2".into(), address: 5, accessible: true }
+    }
+
+    #[test]
+    fn permissions_and_defaults_are_told_with_a_remedy() {
+        assert_eq!(sensor_found(&[]).verdict, Verdict::Failed);
+        let locked = sensor_found(&[Found { accessible: false, ..kinect() }]);
+        assert!(locked.verdict == Verdict::Failed && locked.remedy.contains("rules"));
+        let defaults = camera_settings(&kinect(), &Config::default());
+        assert!(defaults.verdict == Verdict::Warning && defaults.detail.contains("fx 525"), "{defaults:?}");
+        let own = Config::from_toml("[camera.A1]\nfx = 520").unwrap();
+        assert_eq!(camera_settings(&kinect(), &own).verdict, Verdict::Ok);
+    }
+
+    #[test]
+    fn a_shared_controller_is_found() {
+        let sysfs = tempfile::tempdir().unwrap();
+        let device = |name: &str, class: &str, vendor: &str| {
+            let dir = sysfs.path().join(name);
+            std::fs::create_dir(&dir).unwrap();
+            for (file, value) in [("bDeviceClass", class), ("idVendor", vendor), ("speed", "480")] {
+                std::fs::write(dir.join(file), format!("{value}\n")).unwrap();
+            }
+        };
+        device("usb3", "09", "1d6b");
+        device("3-1", "09", "0409");
+        device("3-1.2", "00", "045e");
+        device("4-1", "00", "1234");
+        assert_eq!(controller(&kinect(), sysfs.path()).verdict, Verdict::Ok);
+        device("3-2", "00", "1234");
+        assert_eq!(controller(&kinect(), sysfs.path()).verdict, Verdict::Warning);
+    }
+
+    #[test]
+    fn too_little_usbfs_memory_fails() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("p");
+        for (text, verdict) in
+            [("16\n", Verdict::Ok), ("0", Verdict::Ok), ("1", Verdict::Failed), ("x", Verdict::Warning)]
+        {
+            std::fs::write(&file, text).unwrap();
+            assert_eq!(usbfs_memory(&file).verdict, verdict, "{text}");
+        }
+    }
+}

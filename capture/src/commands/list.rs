@@ -1,0 +1,36 @@
+//! `lumiscan list`: the sensors that are plugged in.
+
+use super::{print, print_json};
+use crate::cli;
+use crate::failure::Failure;
+use crate::sensor;
+use crate::transport::UsbError;
+use crate::usb::UsbBus;
+use serde_json::json;
+
+/// Runs the command.
+pub fn run(args: &cli::List, as_json: bool) -> Result<(), Failure> {
+    let found = sensor::bus(args.simulate.as_ref())?.list().map_err(sensor::failure)?;
+    if found.is_empty() {
+        if args.simulate.is_none() && UsbBus::default().has_v2() {
+            return Err(Failure::Input("this is a Kinect V2, which is not supported; plug in a Kinect V1".into()));
+        }
+        return Err(sensor::failure(UsbError::NoDevice));
+    }
+    if as_json {
+        let all: Vec<_> = found
+            .iter()
+            .map(|f| {
+                json!({ "model": f.model.name(), "serial": f.serial, "bus": f.bus, "path": f.path,
+                        "address": f.address, "accessible": f.accessible })
+            })
+            .collect();
+        return print_json(&all);
+    }
+    for f in &found {
+        let serial = if f.serial.is_empty() { "without serial number" } else { &f.serial };
+        let note = if f.accessible { "" } else { " · may not be opened by this user; install the udev rule" };
+        print(&format!("{} · {serial} · bus {} path {} address {}{note}", f.model.name(), f.bus, f.path, f.address))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,25 @@
+//! `lumiscan scan`: orders to the daemon.
+
+use super::{print, print_json};
+use crate::cli::{self, ScanOrder};
+use crate::control;
+use crate::failure::Failure;
+
+/// Runs the command.
+pub fn run(args: &cli::Scan, as_json: bool) -> Result<(), Failure> {
+    let path = control::socket_path(args.socket.as_ref(), &args.device);
+    let word = match args.order {
+        ScanOrder::Start => "start",
+        ScanOrder::Stop => "stop",
+        ScanOrder::Status => "status",
+    };
+    let answer = control::ask(&path, word)?;
+    if answer["ok"] != true {
+        return Err(Failure::Input(answer["problem"].as_str().unwrap_or("the daemon said nothing of use").into()));
+    }
+    match args.order {
+        ScanOrder::Status => print_json(&answer["status"]),
+        _ if as_json => print_json(&answer),
+        _ => print("ok"),
+    }
+}

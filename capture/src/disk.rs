@@ -1,0 +1,83 @@
+//! How much room the disk has, and how fast it is.
+
+use crate::failure::Failure;
+use std::fs::File;
+use std::io::Write;
+use std::path::Path;
+use std::time::Instant;
+
+/// Bytes written to measure a disk's speed.
+const PROBE_BYTES: usize = 48 << 20;
+/// Bytes a write.
+const PROBE_CHUNK: usize = 1 << 20;
+
+/// Free bytes for this user on the file system of `folder`.
+///
+/// # Errors
+/// The folder is not there.
+pub fn free_bytes(folder: &Path) -> Result<u64, Failure> {
+    let s = rustix::fs::statvfs(folder).map_err(|e| Failure::Internal(format!("{}: {e}", folder.display())))?;
+    Ok(s.f_bavail.saturating_mul(s.f_frsize))
+}
+
+/// Bytes a second that a file in `folder` takes until they are on the disk.
+///
+/// # Errors
+/// The folder cannot be written.
+pub fn write_speed(folder: &Path) -> Result<f64, Failure> {
+    let path = folder.join(format!(".lumiscan-speed-{}", std::process::id()));
+    let measured = measure(&path);
+    let _ = std::fs::remove_file(&path);
+    measured.map_err(|e| Failure::writing(&path, e))
+}
+
+fn measure(path: &Path) -> std::io::Result<f64> {
+    // Not all the same, should the file system compress.
+    let chunk: Vec<u8> = (0..PROBE_CHUNK as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let mut file = File::create(path)?;
+    let began = Instant::now();
+    for _ in 0..PROBE_BYTES / PROBE_CHUNK {
+        file.write_all(&chunk)?;
+    }
+    file.sync_all()?;
+    Ok(PROBE_BYTES as f64 / began.elapsed().as_secs_f64().max(1e-6))
+}
+
+/// Refuses a disk that cannot take `rate` bytes a second for `seconds`.
+///
+/// # Errors
+/// It is too small or too slow; the message says by how much.
+pub fn require(folder: &Path, rate: f64, seconds: f64) -> Result<(), Failure> {
+    let (free, needed) = (free_bytes(folder)?, rate * seconds + PROBE_BYTES as f64);
+    let shown = folder.display();
+    if (free as f64) < needed {
+        return Err(Failure::Internal(format!(
+            "{shown}: {:.1} GB are free, {:.1} GB are needed; free some, or record for less long with --seconds",
+            free as f64 / 1e9,
+            needed / 1e9
+        )));
+    }
+    let speed = write_speed(folder)?;
+    if speed < 1.2 * rate {
+        return Err(Failure::Internal(format!(
+            "{shown}: the disk takes {:.0} MB/s, {:.0} MB/s are needed; record to a faster one",
+            speed / 1e6,
+            1.2 * rate / 1e6
+        )));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_disk_cannot_take_is_refused_before_it_is_tried() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(require(folder.path(), 1e3, 1.0).is_ok());
+        assert!(require(folder.path(), 1e3, 1e15).unwrap_err().to_string().contains("are free"));
+        assert!(require(folder.path(), 1e13, 1e-6).unwrap_err().to_string().contains("MB/s"));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left behind");
+    }
+}

@@ -1,0 +1,494 @@
+//! A Kinect that streams: packets are taken from the ring, decoded, and handed on; silence is noticed and mended.
+
+use crate::decode::{Decoder, DecoderStats};
+use crate::kinect::{Kinect, Led};
+use crate::protocol::KinectError;
+use crate::transport::{Arrived, PacketSource, RingStats, UsbError};
+use firmware_config::KinectConfig;
+use recordings::recording::Event;
+use recordings::types::Accelerometer;
+use std::time::Duration;
+
+/// Largest packet of any endpoint.
+const PACKET_BYTES: usize = 3072;
+/// Packets taken before the caller gets a word in: two frames' worth.
+const BATCH: usize = 800;
+/// Times in a row that silent streams are started anew before the Kinect is given up.
+const RESTARTS: u32 = 3;
+/// Longest rest when the ring is empty.
+const REST: Duration = Duration::from_millis(3);
+
+/// What a look at the ring brought.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Polled {
+    /// Packets.
+    Some,
+    /// Nothing yet.
+    Nothing,
+    /// The Kinect is gone, and everything it sent has been handed on.
+    Gone,
+}
+
+/// Counters of a session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LiveStats {
+    /// Before the assembler.
+    pub ring: RingStats,
+    /// After it.
+    pub streams: DecoderStats,
+    /// Times the streams were started anew.
+    pub restarts: u32,
+}
+
+/// A streaming Kinect.
+pub struct Live {
+    kinect: Kinect,
+    source: PacketSource,
+    decoder: Decoder,
+    buffer: Box<[u8; PACKET_BYTES]>,
+    silence: Duration,
+    accelerometer_every: Option<Duration>,
+    next_accelerometer: Duration,
+    read_exposure: bool,
+    exposure_us: Option<f64>,
+    heard: Duration,
+    depth_heard: Duration,
+    color_heard: Duration,
+    restarts_in_a_row: u32,
+    restarts: u32,
+    /// Ring counters of streams that were started anew.
+    earlier: RingStats,
+    newest_host_ns: i64,
+}
+
+impl Live {
+    /// Starts the streams of an opened Kinect.
+    ///
+    /// # Errors
+    /// Unplugged, no bandwidth, or no answer.
+    pub fn start(mut kinect: Kinect, config: &KinectConfig) -> Result<Self, KinectError> {
+        let source = kinect.start()?;
+        let mut decoder = Decoder::default();
+        for packet in kinect.traffic() {
+            decoder.push(packet.endpoint, 0, &packet.data, &mut |_| {})?;
+        }
+        let now = kinect.now();
+        Ok(Self {
+            source,
+            decoder,
+            buffer: Box::new([0; PACKET_BYTES]),
+            silence: Duration::from_millis(u64::from(config.silence_ms)),
+            accelerometer_every: (config.accelerometer_hz > 0)
+                .then(|| Duration::from_secs(1) / config.accelerometer_hz),
+            next_accelerometer: now,
+            read_exposure: config.read_exposure,
+            exposure_us: None,
+            heard: now,
+            depth_heard: now,
+            color_heard: now,
+            restarts_in_a_row: 0,
+            restarts: 0,
+            earlier: RingStats::default(),
+            newest_host_ns: 0,
+            kinect,
+        })
+    }
+
+    /// The Kinect.
+    #[must_use]
+    pub fn kinect(&self) -> &Kinect {
+        &self.kinect
+    }
+
+    /// Shows a state on the LED.
+    pub fn set_led(&mut self, led: Led) {
+        self.kinect.set_led(led);
+    }
+
+    /// Counters.
+    #[must_use]
+    pub fn stats(&self) -> LiveStats {
+        let ring = self.source.stats();
+        let add = |a: u64, b: u64| a + b;
+        LiveStats {
+            ring: RingStats {
+                packets: add(self.earlier.packets, ring.packets),
+                dropped: add(self.earlier.dropped, ring.dropped),
+                bad_status: add(self.earlier.bad_status, ring.bad_status),
+            },
+            streams: self.decoder.stats(),
+            restarts: self.restarts,
+        }
+    }
+
+    /// True if the device waits for who reads, as only a simulated one does.
+    #[must_use]
+    pub fn waits(&self) -> bool {
+        self.kinect.waits()
+    }
+
+    /// Exposure time by the sensor's register, if it is read at all: a hint.
+    #[must_use]
+    pub fn exposure_us(&self) -> Option<f64> {
+        self.exposure_us
+    }
+
+    /// True if one stream comes and the other has been silent for long.
+    #[must_use]
+    pub fn silent_stream(&self) -> Option<&'static str> {
+        let now = self.kinect.now();
+        let silent = |heard: Duration| now.saturating_sub(heard) > self.silence;
+        match (silent(self.depth_heard), silent(self.color_heard)) {
+            (true, false) => Some("depth"),
+            (false, true) => Some("colour"),
+            _ => None,
+        }
+    }
+
+    /// Takes what is in the ring: `raw` sees every packet as it came, `sink` what becomes of them. Rests a little where
+    /// there is nothing.
+    ///
+    /// # Errors
+    /// The streams stay silent although they were started anew.
+    pub fn poll(
+        &mut self,
+        raw: &mut impl FnMut(Arrived, &[u8]),
+        sink: &mut impl FnMut(Event),
+    ) -> Result<Polled, KinectError> {
+        let gone = self.source.gone();
+        let mut taken = 0;
+        while taken < BATCH
+            && let Some(packet) = self.source.pop(self.buffer.as_mut_slice())
+        {
+            let data = &self.buffer[..packet.len];
+            self.newest_host_ns = packet.host_ns;
+            raw(packet, data);
+            let (mut depth, mut color) = (false, false);
+            self.decoder.push(packet.endpoint, packet.host_ns, data, &mut |event| {
+                depth |= matches!(event, Event::Depth(_));
+                color |= matches!(event, Event::Color(_));
+                sink(event);
+            })?;
+            let now = self.kinect.now();
+            if depth {
+                (self.depth_heard, self.restarts_in_a_row) = (now, 0);
+            }
+            if color {
+                self.color_heard = now;
+            }
+            taken += 1;
+        }
+        if taken > 0 {
+            self.heard = self.kinect.now();
+            self.read_sensors(sink);
+            return Ok(Polled::Some);
+        }
+        if gone {
+            self.decoder.end();
+            return Ok(Polled::Gone);
+        }
+        if self.kinect.now().saturating_sub(self.heard) > self.silence {
+            self.restart()?;
+            return Ok(Polled::Nothing);
+        }
+        std::thread::sleep(REST);
+        Ok(Polled::Nothing)
+    }
+
+    fn read_sensors(&mut self, sink: &mut impl FnMut(Event)) {
+        let now = self.kinect.now();
+        if let Some(every) = self.accelerometer_every
+            && now >= self.next_accelerometer
+        {
+            self.next_accelerometer = now + every;
+            match self.kinect.accelerometer() {
+                Some(acceleration) => {
+                    sink(Event::Accelerometer(Accelerometer { timestamp_ns: self.newest_host_ns, acceleration }));
+                }
+                None => self.accelerometer_every = None,
+            }
+        }
+        if self.read_exposure
+            && let Some(us) = self.kinect.exposure_us()
+        {
+            self.exposure_us = Some(us);
+        }
+    }
+
+    fn restart(&mut self) -> Result<(), KinectError> {
+        self.restarts_in_a_row += 1;
+        self.restarts += 1;
+        if self.restarts_in_a_row > RESTARTS {
+            return Err(UsbError::Timeout.into());
+        }
+        tracing::warn!("the Kinect is silent; its streams are started anew");
+        self.kinect.stop();
+        self.decoder.end();
+        self.earlier = self.stats().ring;
+        self.source = self.kinect.start()?;
+        let now = self.kinect.now();
+        (self.heard, self.depth_heard, self.color_heard) = (now, now, now);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::{SimBus, SimPlan};
+    use crate::transport::Bus;
+    use firmware_config::kinect_models::Model;
+    use recordings::types::{ColorFrame, DepthFrame, UsbPacket};
+
+    fn config() -> KinectConfig {
+        KinectConfig::default()
+    }
+
+    fn fast() -> SimPlan {
+        SimPlan { fast: true, frames: 20, ..SimPlan::default() }
+    }
+
+    #[derive(Default)]
+    struct Session {
+        depth: Vec<DepthFrame>,
+        color: Vec<ColorFrame>,
+        accelerometer: Vec<[f32; 3]>,
+        packets: Vec<UsbPacket>,
+        stats: LiveStats,
+        ended: Option<Result<Polled, KinectError>>,
+    }
+
+    /// Streams until the simulated device has nothing more to say, or is gone.
+    fn session(bus: &mut SimBus, config: &KinectConfig) -> Result<Session, KinectError> {
+        let kinect = Kinect::open(bus, "", config)?;
+        let mut live = Live::start(kinect, config)?;
+        let mut s = Session { packets: live.kinect().traffic().to_vec(), ..Session::default() };
+        loop {
+            // Asked before the ring is emptied.
+            let over = bus.log().over;
+            let polled = live.poll(
+                &mut |p, data| {
+                    s.packets.push(UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() });
+                },
+                &mut |event| match event {
+                    Event::Depth(d) => s.depth.push(d),
+                    Event::Color(c) => s.color.push(c),
+                    Event::Accelerometer(a) => s.accelerometer.push(a.acceleration),
+                    Event::Packet(_) => {}
+                },
+            );
+            match polled {
+                Ok(Polled::Nothing) if over => {}
+                Ok(Polled::Some | Polled::Nothing) => continue,
+                _ => {}
+            }
+            s.stats = live.stats();
+            s.ended = Some(polled);
+            return Ok(s);
+        }
+    }
+
+    #[test]
+    fn a_clean_session_is_complete_and_correct() {
+        for model in [Model::K1414, Model::K1473, Model::K1517] {
+            let mut bus = SimBus::new(SimPlan { model, ..fast() });
+            let s = session(&mut bus, &config()).unwrap();
+            let log = bus.log();
+            assert_eq!(log.complaints, [""; 0], "{model:?}");
+            assert_eq!((s.depth.len(), s.color.len()), (20, 20));
+            assert_eq!(s.stats.ring.packets, log.depth.packets + log.color.packets);
+            assert_eq!((s.stats.streams.depth.missing, s.stats.streams.color.missing, s.stats.restarts), (0, 0, 0));
+            // The clock wraps during the session.
+            for pair in s.depth.windows(2) {
+                assert!((pair[1].timestamp_ns - pair[0].timestamp_ns - 33_333_333).abs() <= 1);
+            }
+            assert_eq!(s.depth[3].timestamp_ns, s.color[3].timestamp_ns);
+            assert!(s.depth[0].depth.iter().filter(|d| **d > 0).count() > 280_000);
+            assert!(s.color[5].bytes.iter().enumerate().all(|(i, &b)| b == (i / 7 + 29 * 5) as u8));
+            assert_eq!(
+                log.writes[..7],
+                [(0x105, 0), (0x06, 0), (0x12, 3), (0x13, 1), (0x14, 0x1e), (0x06, 2), (0x17, 0)]
+            );
+            assert_eq!(log.writes[7..12], [(0x0c, 0), (0x0d, 1), (0x0e, 0x1e), (0x05, 1), (0x47, 0)]);
+            assert_eq!(log.writes[12..], [(0x06, 0), (0x05, 0)]);
+            let g = s.accelerometer.first().unwrap();
+            assert!((g[1] + 9.8).abs() < 0.01 && g[0] == 0.0 && g[2] == 0.0, "{g:?}");
+        }
+    }
+
+    #[test]
+    fn other_formats_stream_too() {
+        let mut bus = SimBus::new(fast());
+        let s = session(&mut bus, &KinectConfig { depth_bits: 10, color_sxga: true, ..config() }).unwrap();
+        assert_eq!(bus.log().complaints, [""; 0]);
+        assert_eq!((s.depth.len(), s.color.len()), (20, 20));
+        assert_eq!((s.color[0].width, s.color[0].height, s.color[0].bytes.len()), (1280, 1024, 1_310_720));
+        assert!(s.depth[0].depth.iter().filter(|d| **d > 0).count() > 280_000);
+    }
+
+    /// Every packet that did not come is counted; every frame that is not whole is marked.
+    #[test]
+    fn losses_are_counted_to_the_packet() {
+        for (loss, burst) in [(0.001, 0.0), (0.01, 0.0), (0.1, 0.0), (0.5, 0.0), (0.001, 0.01)] {
+            let plan = SimPlan { loss, burst, frames: 60, seed: 5, ..fast() };
+            let mut bus = SimBus::new(plan);
+            let s = session(&mut bus, &config()).unwrap();
+            let log = bus.log();
+            for (sent, got) in [(log.depth, s.stats.streams.depth), (log.color, s.stats.streams.color)] {
+                assert_eq!(got.packets + sent.lost, sent.packets - got.skipped, "loss {loss}");
+                // What is lost at either end of the session, before the first frame and after the last packet, is nobody's.
+                assert!(sent.lost - got.missing <= got.skipped + 60, "loss {loss}: {sent:?} {got:?}");
+                assert!(got.frames + got.lost_frames + 2 >= sent.frames, "loss {loss}: {got:?}");
+                assert_eq!(got.resyncs, 0);
+            }
+            let incomplete = s.depth.iter().filter(|d| d.missing_packets > 0).count() as u64;
+            assert_eq!(incomplete, s.stats.streams.depth.incomplete_frames);
+            if loss <= 0.001 && burst == 0.0 {
+                assert!(s.depth.iter().any(|d| d.missing_packets == 0));
+            }
+        }
+    }
+
+    #[test]
+    fn what_goes_wrong_on_the_way_is_survived() {
+        let plan = SimPlan {
+            loss: 0.005,
+            burst: 0.0005,
+            burst_packets: 300,
+            reorder: 0.02,
+            truncate: 0.01,
+            garbage: 0.01,
+            bad_status: 0.01,
+            stall_every: 17,
+            stall_frames: 5,
+            frames: 120,
+            seed: 11,
+            ..fast()
+        };
+        let mut bus = SimBus::new(plan);
+        let s = session(&mut bus, &config()).unwrap();
+        let (log, got) = (bus.log(), s.stats.streams.depth);
+        assert!(s.stats.ring.bad_status > 100 && got.garbage > 50 && got.short > 50, "{:?}", s.stats);
+        assert_eq!(got.frames, s.depth.len() as u64);
+        // A seventh of all packets is lost in bursts longer than the sequence numbers reach; a burst costs two frames at most.
+        assert!(got.frames + 2 * (log.depth.lost / 250) > log.depth.frames, "{got:?} of {:?}", log.depth);
+        assert!(got.missing <= log.depth.lost + log.depth.spoilt + 250 * got.resyncs, "{got:?} of {:?}", log.depth);
+        // Pixels that are there are right: rows of the pattern's planes.
+        for (i, d) in s.depth.iter().enumerate() {
+            let whole = d.depth.iter().filter(|&&mm| mm > 0).all(|&mm| (500..1400).contains(&mm));
+            assert!(whole, "frame {i}");
+        }
+    }
+
+    #[test]
+    fn not_ready_and_stale_replies_are_waited_out() {
+        let mut bus = SimBus::new(SimPlan { not_ready: 7, stale: 3, ..fast() });
+        let s = session(&mut bus, &config()).unwrap();
+        assert_eq!((s.depth.len(), bus.log().complaints.len()), (20, 0));
+    }
+
+    #[test]
+    fn devices_that_make_no_sense_are_given_up_in_time() {
+        for plan in [
+            SimPlan { dead: true, ..fast() },
+            SimPlan { never_ready: true, ..fast() },
+            SimPlan { bad_magic: true, ..fast() },
+        ] {
+            let mut bus = SimBus::new(plan);
+            let found = bus.list().unwrap().remove(0);
+            let before = bus.open(&found).unwrap().now();
+            let error = session(&mut bus, &config()).err().unwrap();
+            let took = bus.open(&found).unwrap().now() - before;
+            assert!(!error.is_gone() && took <= Duration::from_secs(4), "{error} after {took:?}");
+        }
+    }
+
+    #[test]
+    fn unplugged_in_every_phase() {
+        let mut phases = 0;
+        for control in 1..200 {
+            let mut bus = SimBus::new(SimPlan {
+                unplug_at_control: Some(control),
+                no_motor: true,
+                replug_ms: Some(100),
+                ..fast()
+            });
+            match session(&mut bus, &config()) {
+                Err(e) => {
+                    assert!(e.is_gone(), "{e}");
+                    phases += 1;
+                }
+                // Later transfers are those of stopping.
+                Ok(_) => break,
+            }
+            while bus.list().unwrap().is_empty() {}
+            assert_eq!(session(&mut bus, &config()).unwrap().depth.len(), 20, "after unplugging at transfer {control}");
+        }
+        assert!(phases >= 2 * (4 + 12), "{phases}");
+        for frame in [0, 1, 10] {
+            let mut bus = SimBus::new(SimPlan { unplug_at_frame: Some(frame), replug_ms: Some(100), ..fast() });
+            let s = session(&mut bus, &config()).unwrap();
+            assert_eq!((s.depth.len() as u64, s.ended), (frame, Some(Ok(Polled::Gone))));
+            while bus.list().unwrap().is_empty() {}
+            assert_eq!(session(&mut bus, &config()).unwrap().depth.len(), 20);
+        }
+    }
+
+    #[test]
+    fn one_stream_alone_is_named() {
+        let mut bus = SimBus::new(SimPlan { no_color: true, frames: 200, ..fast() });
+        let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
+        let mut live = Live::start(kinect, &config()).unwrap();
+        let mut named = None;
+        while !bus.log().over {
+            live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
+            named = named.or(live.silent_stream());
+        }
+        assert_eq!(named, Some("colour"));
+    }
+
+    #[test]
+    fn silence_starts_the_streams_anew_and_then_gives_up() {
+        let mut bus = SimBus::new(fast());
+        let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
+        let mut live = Live::start(kinect, &config()).unwrap();
+        let error = loop {
+            if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
+                break e;
+            }
+        };
+        assert_eq!(error, UsbError::Timeout.into());
+        assert!(live.stats().restarts >= RESTARTS);
+    }
+
+    #[test]
+    fn a_serial_number_chooses() {
+        let mut bus = SimBus::new(fast());
+        assert!(Kinect::open(&mut bus, "another", &config()).err().unwrap().is_gone());
+        assert!(Kinect::open(&mut bus, crate::sim::SERIAL, &config()).is_ok());
+    }
+
+    #[test]
+    fn recorded_packets_replay_bit_for_bit() {
+        let plan = SimPlan { loss: 0.02, garbage: 0.01, reorder: 0.01, frames: 30, ..fast() };
+        let s = session(&mut SimBus::new(plan), &config()).unwrap();
+        let mut decoder = Decoder::default();
+        let (mut depth, mut color) = (Vec::new(), Vec::new());
+        for p in &s.packets {
+            let sink = &mut |event| match event {
+                Event::Depth(d) => depth.push(d),
+                Event::Color(c) => color.push(c),
+                _ => {}
+            };
+            decoder.push(p.endpoint, p.timestamp_ns, &p.data, sink).unwrap();
+        }
+        assert!(depth == s.depth && color == s.color);
+        assert_eq!(decoder.stats(), s.stats.streams);
+    }
+
+    #[test]
+    fn packets_without_calibration_are_refused() {
+        let packet = [b'R', b'B', 0, 0x71, 0, 0, 0, 12, 0, 0, 0, 0];
+        assert!(matches!(Decoder::default().push(0x82, 0, &packet, &mut |_| {}), Err(KinectError::Calibration(_))));
+    }
+}

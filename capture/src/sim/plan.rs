@@ -1,0 +1,232 @@
+//! What a simulated Kinect plays, and what goes wrong with it.
+
+use firmware_config::kinect_models::Model;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What a simulated Kinect sees.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum Scenery {
+    /// Tilted planes that change from frame to frame: cheap, and every frame can be told.
+    #[default]
+    Pattern,
+    /// A recording of frames.
+    Recording(PathBuf),
+}
+
+/// What a simulated Kinect does. Probabilities are per packet; everything follows from the seed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimPlan {
+    /// What it sees.
+    pub scenery: Scenery,
+    /// Model.
+    pub model: Model,
+    /// Seed of every fault.
+    pub seed: u64,
+    /// As fast as it goes on a clock of its own, instead of in real time.
+    pub fast: bool,
+    /// Although it is fast, pairs that find fusion busy are dropped as they are in real time.
+    pub hasty: bool,
+    /// Frames of each stream, after which it is silent; 0 = no end.
+    pub frames: u64,
+    /// Frames for which the first picture of a recording stands.
+    pub hold: u64,
+    /// First time stamp of its 60 MHz clock.
+    pub clock_start: u32,
+    /// A packet does not come.
+    pub loss: f64,
+    /// A burst of lost packets begins.
+    pub burst: f64,
+    /// Packets of such a burst.
+    pub burst_packets: u32,
+    /// A packet changes places with the next.
+    pub reorder: f64,
+    /// A packet is cut short.
+    pub truncate: f64,
+    /// A packet's header is overwritten.
+    pub garbage: f64,
+    /// The host controller flags a packet.
+    pub bad_status: f64,
+    /// Both streams fall silent for `stall_frames` frames every so many frames; 0 = never.
+    pub stall_every: u64,
+    /// Length of such a silence in frames.
+    pub stall_frames: u64,
+    /// "Not ready" replies before each reply, by turns of 0 and of 512 bytes.
+    pub not_ready: u32,
+    /// Replies of an earlier session that are still queued.
+    pub stale: u32,
+    /// Never answers a command.
+    pub dead: bool,
+    /// Says "not ready" for ever.
+    pub never_ready: bool,
+    /// Replies with a wrong magic.
+    pub bad_magic: bool,
+    /// No colour packets.
+    pub no_color: bool,
+    /// No depth packets.
+    pub no_depth: bool,
+    /// Has no LED and no accelerometer.
+    pub no_motor: bool,
+    /// The plug is pulled at this control transfer of a session.
+    pub unplug_at_control: Option<u32>,
+    /// The plug is pulled at this frame of a session.
+    pub unplug_at_frame: Option<u64>,
+    /// How often that happens.
+    pub unplugs: u32,
+    /// After this time it is plugged in again.
+    pub replug_ms: Option<u64>,
+}
+
+impl Default for SimPlan {
+    fn default() -> Self {
+        Self {
+            scenery: Scenery::Pattern,
+            model: Model::K1414,
+            seed: 1,
+            fast: false,
+            hasty: false,
+            frames: 0,
+            hold: 0,
+            clock_start: 0xfff0_0000,
+            loss: 0.0,
+            burst: 0.0,
+            burst_packets: 20,
+            reorder: 0.0,
+            truncate: 0.0,
+            garbage: 0.0,
+            bad_status: 0.0,
+            stall_every: 0,
+            stall_frames: 30,
+            not_ready: 0,
+            stale: 0,
+            dead: false,
+            never_ready: false,
+            bad_magic: false,
+            no_color: false,
+            no_depth: false,
+            no_motor: false,
+            unplug_at_control: None,
+            unplug_at_frame: None,
+            unplugs: 1,
+            replug_ms: None,
+        }
+    }
+}
+
+impl SimPlan {
+    /// From `pattern` or a recording's path, then `,key=value` or `,flag` as often as wanted.
+    ///
+    /// # Errors
+    /// Names the part that is not understood.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let mut parts = text.split(',');
+        let mut plan = Self::default();
+        match parts.next().unwrap_or("") {
+            "pattern" => {}
+            "" => return Err("say `pattern` or a recording".into()),
+            path => plan.scenery = Scenery::Recording(path.into()),
+        }
+        for part in parts {
+            plan.set(part).ok_or_else(|| format!("`{part}` is not understood"))?;
+        }
+        Ok(plan)
+    }
+
+    fn set(&mut self, part: &str) -> Option<()> {
+        let (key, value) = part.split_once('=').unwrap_or((part, "true"));
+        let share = || value.parse::<f64>().ok().filter(|x| (0.0..=1.0).contains(x));
+        match key {
+            "model" => {
+                self.model = match value {
+                    "1414" => Model::K1414,
+                    "1473" => Model::K1473,
+                    "1517" => Model::K1517,
+                    _ => return None,
+                }
+            }
+            "seed" => self.seed = value.parse().ok()?,
+            "fast" => self.fast = value.parse().ok()?,
+            "hasty" => self.hasty = value.parse().ok()?,
+            "frames" => self.frames = value.parse().ok()?,
+            "hold" => self.hold = value.parse().ok()?,
+            "clock_start" => self.clock_start = value.parse().ok()?,
+            "loss" => self.loss = share()?,
+            "burst" => self.burst = share()?,
+            "burst_packets" => self.burst_packets = value.parse().ok()?,
+            "reorder" => self.reorder = share()?,
+            "truncate" => self.truncate = share()?,
+            "garbage" => self.garbage = share()?,
+            "bad_status" => self.bad_status = share()?,
+            "stall_every" => self.stall_every = value.parse().ok()?,
+            "stall_frames" => self.stall_frames = value.parse().ok()?,
+            "not_ready" => self.not_ready = value.parse().ok()?,
+            "stale" => self.stale = value.parse().ok()?,
+            "dead" => self.dead = value.parse().ok()?,
+            "never_ready" => self.never_ready = value.parse().ok()?,
+            "bad_magic" => self.bad_magic = value.parse().ok()?,
+            "no_color" => self.no_color = value.parse().ok()?,
+            "no_depth" => self.no_depth = value.parse().ok()?,
+            "no_motor" => self.no_motor = value.parse().ok()?,
+            "unplug_at_control" => self.unplug_at_control = Some(value.parse().ok()?),
+            "unplug_at_frame" => self.unplug_at_frame = Some(value.parse().ok()?),
+            "unplugs" => self.unplugs = value.parse().ok()?,
+            "replug_ms" => self.replug_ms = Some(value.parse().ok()?),
+            _ => return None,
+        }
+        Some(())
+    }
+
+    /// Time after which it is plugged in again.
+    #[must_use]
+    pub fn replug_after(&self) -> Option<Duration> {
+        self.replug_ms.map(Duration::from_millis)
+    }
+}
+
+/// SplitMix64 (Steele, Lea, Flood 2014).
+#[derive(Debug, Clone)]
+pub struct Random(u64);
+
+impl Random {
+    /// From a seed.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// True with this probability.
+    pub fn chance(&mut self, probability: f64) -> bool {
+        probability > 0.0 && ((self.bits() >> 11) as f64) < probability * (1u64 << 53) as f64
+    }
+
+    /// Less than `n`; 0 for 0.
+    pub fn below(&mut self, n: usize) -> usize {
+        if n == 0 { 0 } else { (self.bits() % n as u64) as usize }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plans_are_read_and_mistakes_named() {
+        let plan = SimPlan::parse("pattern,fast,seed=7,loss=0.01,unplug_at_frame=30,model=1517").unwrap();
+        assert_eq!(
+            (plan.fast, plan.seed, plan.loss, plan.unplug_at_frame, plan.model),
+            (true, 7, 0.01, Some(30), Model::K1517)
+        );
+        assert_eq!(SimPlan::parse("a/b.lrec").unwrap().scenery, Scenery::Recording("a/b.lrec".into()));
+        for bad in ["", "pattern,loss=2", "pattern,lost=0.1", "pattern,seed", "pattern,"] {
+            assert!(SimPlan::parse(bad).is_err(), "{bad}");
+        }
+    }
+}

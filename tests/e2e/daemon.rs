@@ -1,0 +1,376 @@
+//! The daemon as a whole, on a simulated Kinect that plays a recording, and what may happen to it.
+
+#![allow(clippy::unwrap_used, reason = "these are tests")]
+
+mod common;
+
+use common::{arg, lumiscan, ok, run, text};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Longest wait for anything.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A daemon; killed at the end if it still runs.
+struct Daemon {
+    child: Child,
+    device: PathBuf,
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Daemon {
+    fn start(device: &Path, plan: &str, more: &[&str]) -> Self {
+        Self::start_by(Command::new(lumiscan().get_program()), device, plan, more)
+    }
+
+    fn start_by(mut command: Command, device: &Path, plan: &str, more: &[&str]) -> Self {
+        std::fs::create_dir_all(device).unwrap();
+        let log = std::fs::File::options().create(true).append(true).open(device.join("log")).unwrap();
+        let child = command
+            .args(["capture", "--device", &arg(device), "--simulate", plan, "--set", "daemon.min_free_mb=1"])
+            .args(more)
+            .env_remove("LUMISCAN_DEVICE")
+            .env_remove("NOTIFY_SOCKET")
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .unwrap();
+        Self { child, device: device.into() }
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.device.join("log")).unwrap_or_default()
+    }
+
+    fn order(&self, order: &str) -> bool {
+        run(&["scan", order, "--device", &arg(&self.device)]).status.success()
+    }
+
+    fn status(&self) -> Option<Value> {
+        let output = run(&["scan", "status", "--device", &arg(&self.device)]);
+        serde_json::from_str(&text(&output.stdout)).ok()
+    }
+
+    /// Waits until the status is as wanted.
+    fn wait(&mut self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        let began = Instant::now();
+        loop {
+            if let Some(s) = self.status().filter(&wanted) {
+                return s;
+            }
+            let ended = self.child.try_wait().unwrap();
+            assert!(
+                ended.is_none() && began.elapsed() < PATIENCE,
+                "{what}: {ended:?} {:?}\n{}",
+                self.status(),
+                self.log()
+            );
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    fn wait_for(&mut self, state: &str) -> Value {
+        self.wait(state, |s| s["state"] == state)
+    }
+
+    /// Starts a scan as soon as that is possible.
+    fn begin(&mut self) {
+        let began = Instant::now();
+        while !self.order("start") {
+            assert!(began.elapsed() < PATIENCE, "{}", self.log());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Starts a scan and waits until so many seconds of it are in.
+    fn scan(&mut self, seconds: f64) -> Value {
+        self.begin();
+        self.wait("scanning", |s| s["scan"]["seconds"].as_f64().is_some_and(|t| t >= seconds))
+    }
+
+    fn signal(&self, name: &str) {
+        assert!(Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap().success());
+    }
+
+    fn ended(&mut self) -> Option<i32> {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                assert!(!self.log().contains("panicked"), "{}", self.log());
+                return status.code();
+            }
+            assert!(began.elapsed() < PATIENCE, "it does not end\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+/// The recording that comes with the repository: 5.5 s of a table.
+fn recording() -> String {
+    arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop.lrec"))
+}
+
+/// Published scans.
+fn scans(device: &Path) -> Vec<String> {
+    common::scans(device).into_iter().filter(|name| !name.starts_with('.')).collect()
+}
+
+fn manifest(device: &Path, scan: &str) -> Value {
+    let path = device.join("scans").join(scan).join("manifest.json");
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+#[test]
+fn scans_follow_orders_and_counters_are_right() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let mut d = Daemon::start(&device, &format!("{table},fast,loss=0.001"), &["--no-estimate", "--scans", "2"]);
+    d.wait_for("ready");
+    assert!(!d.order("stop"), "there is nothing to stop");
+    for n in 1..=2 {
+        let during = d.scan(2.0);
+        assert!(!d.order("start"), "one scan at a time");
+        assert!(during["drops"]["missing_packets"].as_u64().unwrap() > 0, "{during}");
+        assert!(d.order("stop"));
+        if n == 1 {
+            d.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
+        }
+    }
+    assert_eq!(d.ended(), Some(0));
+    let published = scans(&device);
+    assert!(published.len() == 2 && published.iter().any(|s| s.ends_with("scan-0002")), "{published:?}");
+    for scan in &published {
+        let stats = &manifest(&device, scan)["capture"]["stats"];
+        let n = |key: &str| stats[key].as_u64().unwrap();
+        assert_eq!(n("depth_frames"), n("pairs") + n("unpaired_depth"), "{stats}");
+        assert_eq!(n("color_frames"), n("pairs") + n("unpaired_color"), "{stats}");
+        assert_eq!(n("pairs"), n("tracked_pairs") + n("lost_pairs") + n("dropped_pairs"), "{stats}");
+        assert!(n("missing_packets") >= n("incomplete_frames") && n("incomplete_frames") > 0, "{stats}");
+        assert_eq!(n("dropped_pairs"), 0, "a device on its own clock waits");
+    }
+    let status: Value = serde_json::from_str(&std::fs::read_to_string(device.join("status.json")).unwrap()).unwrap();
+    assert!(status["memory_peak_bytes"].as_u64().unwrap() < status["memory_plan_bytes"].as_u64().unwrap(), "{status}");
+}
+
+#[test]
+fn scans_start_and_end_by_themselves() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    // The first picture stands for three seconds and the last one for ever.
+    let mut d = Daemon::start(&device, &format!("{table},fast,hold=90"), &["--auto", "--no-estimate", "--scans", "1"]);
+    assert_eq!(d.ended(), Some(0));
+    let stats = &manifest(&device, &scans(&device)[0])["capture"]["stats"];
+    let seconds = stats["duration_s"].as_f64().unwrap();
+    // The recording is 5.5 s long; the stillness behind it is 3 s.
+    assert!((6.0..11.0).contains(&seconds), "{seconds} s");
+}
+
+#[test]
+fn unplugging_ends_a_scan_and_plugging_in_makes_ready() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let plan = format!("{table},fast,unplug_at_frame=60,replug_ms=1000");
+    let mut d = Daemon::start(&device, &plan, &["--no-estimate"]);
+    d.wait_for("ready");
+    assert!(d.order("start"));
+    let s = d.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
+    assert!(s["last_error"].as_str().unwrap().contains("unplugged"), "{s}");
+    d.scan(1.0);
+    assert!(d.order("stop"));
+    d.wait("published", |s| s["finished_scans"] == 2);
+    d.signal("-TERM");
+    assert_eq!(d.ended(), Some(0));
+}
+
+#[test]
+fn a_signal_in_a_scan_loses_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let mut d = Daemon::start(&device, &format!("{table},fast"), &["--no-estimate"]);
+    d.wait_for("ready");
+    d.signal("-USR1");
+    d.wait("scanning", |s| s["scan"]["seconds"].as_f64().is_some_and(|t| t >= 1.5));
+    d.signal("-TERM");
+    assert_eq!(d.ended(), Some(0));
+    // What was captured is there, and finished at the next start.
+    assert_eq!(scans(&device).len(), 0);
+    let mut d = Daemon::start(&device, "pattern,fast", &["--no-estimate", "--scans", "1"]);
+    assert_eq!(d.ended(), Some(0));
+    let published = scans(&device);
+    assert!(published.len() == 1 && published[0].ends_with("scan-0001"), "{published:?}");
+    ok(&["inspect", &arg(device.join("scans").join(&published[0]).join("scan.lscan"))]);
+}
+
+/// Killed at random moments of capture and publishing, and what was being written cut at random: the next start is
+/// clean, finished scans are intact, and the next scan works.
+#[test]
+fn power_cuts_are_survived() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let plan = format!("{table},fast,frames=45");
+    let mut seed = 12345u64;
+    let mut random = move |n: u64| {
+        seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (seed >> 33) % n
+    };
+    let mut finished = Vec::new();
+    for _ in 0..6 {
+        let mut d = Daemon::start(&device, &plan, &["--no-estimate"]);
+        d.begin();
+        std::thread::sleep(Duration::from_millis(random(4000)));
+        d.signal("-KILL");
+        let _ = d.child.wait();
+        for folder in unfinished(&device) {
+            for file in std::fs::read_dir(&folder).unwrap().flatten() {
+                let length = file.metadata().unwrap().len();
+                if file.file_name() != "scan.lscan" && length > 0 {
+                    std::fs::File::options().write(true).open(file.path()).unwrap().set_len(random(length)).unwrap();
+                }
+            }
+        }
+        for scan in scans(&device) {
+            ok(&["inspect", &arg(device.join("scans").join(&scan).join("scan.lscan"))]);
+            finished.push(scan);
+        }
+        assert!(finished.iter().all(|s| device.join("scans").join(s).exists()));
+    }
+    let mut d = Daemon::start(&device, &plan, &["--no-estimate"]);
+    let before = d.wait_for("ready")["finished_scans"].as_u64().unwrap();
+    assert!(unfinished(&device).is_empty(), "all finished or set aside");
+    assert!(d.order("start"));
+    d.wait("published", |s| s["finished_scans"].as_u64().unwrap() > before);
+}
+
+fn unfinished(device: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(device.join("scans")).into_iter().flatten().flatten();
+    entries.map(|e| e.path()).filter(|p| p.file_name().unwrap().to_string_lossy().starts_with(".capture-")).collect()
+}
+
+/// The disk takes no more in the middle of a scan: that scan is lost, and said; the daemon lives.
+#[test]
+fn a_full_disk_ends_the_scan_cleanly() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    // Files longer than 600 KiB are refused, as by a full disk.
+    let mut shell = Command::new("bash");
+    shell.args(["-c", "trap '' XFSZ; ulimit -f 600; exec \"$0\" \"$@\""]).arg(lumiscan().get_program());
+    let mut d = Daemon::start_by(shell, &device, &format!("{table},fast"), &["--no-estimate"]);
+    d.wait_for("ready");
+    assert!(d.order("start"));
+    let s = d.wait("the error", |s| s["last_error"].is_string() && s["state"] == "ready");
+    assert_eq!(s["finished_scans"], 0, "{s}");
+    assert!(unfinished(&device).is_empty() && scans(&device).is_empty());
+    // Little room is another matter: the scan ends early and is published.
+    drop(d);
+    let mut d = Daemon::start(&device, "pattern,fast", &["--no-estimate", "--set", "daemon.min_free_mb=1000000"]);
+    d.wait_for("ready");
+    assert!(d.order("start"));
+    let s = d.wait("the error", |s| s["last_error"].is_string());
+    assert!(s["last_error"].as_str().unwrap().contains("min_free_mb"), "{s}");
+}
+
+/// An estimator that wants more memory than it may have ends alone; the scan is published, with the reason.
+#[test]
+fn an_estimator_over_its_limit_ends_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let mut d = Daemon::start(&device, &format!("{table},fast"), &["--set", "daemon.estimator_limit_mb=60"]);
+    d.scan(1.5);
+    assert!(d.order("stop"));
+    let s = d.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
+    assert!(s["last_error"].as_str().unwrap().contains("estimator"), "{s}");
+    let m = manifest(&device, &scans(&device)[0]);
+    assert_eq!(m["estimator"]["outcome"], "failed", "{m}");
+    d.scan(0.5);
+}
+
+/// Fusion is slower than the sensor: pairs give way and are counted, nothing else is lost.
+#[test]
+fn a_slow_consumer_loses_pairs_by_count_only() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let more = ["--no-estimate", "--scans", "1"];
+    let mut d = Daemon::start(&device, &format!("{table},fast,hasty,frames=300"), &more);
+    d.begin();
+    assert_eq!(d.ended(), Some(0));
+    let stats = &manifest(&device, &scans(&device)[0])["capture"]["stats"];
+    let n = |key: &str| stats[key].as_u64().unwrap();
+    assert!(n("dropped_pairs") > 0, "{stats}");
+    assert_eq!(n("pairs"), n("tracked_pairs") + n("lost_pairs") + n("dropped_pairs"), "{stats}");
+    assert_eq!((n("depth_frames"), n("missing_packets")), (n("pairs") + n("unpaired_depth"), 0), "{stats}");
+}
+
+#[test]
+fn two_daemons_do_not_share_a_device() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut d = Daemon::start(dir.path(), "pattern,fast", &[]);
+    d.wait_for("ready");
+    let second = run(&["capture", "--device", &arg(dir.path()), "--simulate", "pattern,fast"]);
+    assert_eq!(second.status.code(), Some(2), "{}", text(&second.stderr));
+    assert!(text(&second.stderr).contains("another"));
+    d.signal("-TERM");
+    assert_eq!(d.ended(), Some(0));
+    assert!(!dir.path().join("control").exists());
+}
+
+#[test]
+fn a_dead_device_is_waited_out() {
+    for fault in ["dead", "never_ready", "bad_magic"] {
+        let dir = tempfile::tempdir().unwrap();
+        let mut d = Daemon::start(dir.path(), &format!("pattern,fast,{fault}"), &[]);
+        let s = d.wait("the error", |s| s["last_error"].is_string());
+        assert_eq!(s["state"], "waiting", "{s}");
+        assert!(!d.order("start"));
+        d.signal("-TERM");
+        assert_eq!(d.ended(), Some(0));
+    }
+}
+
+#[test]
+fn depth_without_colour_makes_no_scan_and_no_trouble() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut d = Daemon::start(dir.path(), "pattern,fast,no_color,frames=100", &["--no-estimate"]);
+    d.wait_for("ready");
+    assert!(d.order("start"));
+    let s = d.wait("the error", |s| s["last_error"].is_string() && s["state"] == "ready");
+    assert_eq!(s["finished_scans"], 0);
+    assert!(unfinished(dir.path()).is_empty() && scans(dir.path()).is_empty());
+}
+
+/// What systemd is told.
+#[test]
+fn the_service_manager_is_kept_informed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("notify");
+    let socket = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
+    socket.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut command = Command::new(lumiscan().get_program());
+    command
+        .args(["capture", "--device", &arg(dir.path()), "--simulate", "pattern,fast"])
+        .env("NOTIFY_SOCKET", &path)
+        .stderr(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    let (mut said, mut buffer) = (String::new(), [0; 512]);
+    while !["READY=1", "STATUS=ready", "WATCHDOG=1"].iter().all(|line| said.contains(line)) {
+        let n = socket.recv(&mut buffer).unwrap();
+        said += &format!("{}\n", text(&buffer[..n]));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
