@@ -17,8 +17,10 @@ use recordings::types::Mesh;
 const PATCH_EDGES: f32 = 10.0;
 /// A patch's keyframe counts in full from this sum of weights on.
 const FULL_WEIGHT: f64 = 20.0;
-/// Log deviation beyond which a patch is not thought to be diffuse.
+/// Log deviation that a diffuse patch may show in a good scan. In a worse one, where even the better patches (this share
+/// of all) deviate more, that is the measure.
 const DIFFUSE_LOG: f64 = 0.02;
+const BETTER_SHARE: f64 = 0.25;
 /// Rounds of reweighting.
 const ROUNDS: usize = 15;
 
@@ -60,7 +62,9 @@ pub fn solve(
             let (half, other): (Vec<_>, Vec<_>) = all.iter().enumerate().partition(|(i, _)| i.is_multiple_of(2));
             let [half, other] = [half, other].map(|h| h.into_iter().map(|p| *p.1).collect::<Vec<&Patch>>());
             let none = vec![[0.0; 3]; keyframes];
-            let [none, one, three] = [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l));
+            let scale = tolerance(&other, &start);
+            let [none, one, three] =
+                [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l, scale));
             let use_rgb = three < 0.9 * one;
             let decision = Decision {
                 name: "exposure".into(),
@@ -223,7 +227,8 @@ fn agreed(patches: &[&Patch], keyframes: usize) -> Vec<[f64; 3]> {
             refine(patches, start, false)
         })
         .collect();
-    let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c)).collect();
+    let scale = candidates.iter().map(|c| tolerance(patches, c)).fold(f64::INFINITY, f64::min);
+    let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
     let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
     candidates.into_iter().nth(best).unwrap_or_else(|| vec![[0.0; 3]; keyframes])
 }
@@ -249,12 +254,22 @@ fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
     groups
 }
 
-/// Share of the patches' weight that the gains leave unexplained, 0 to 1.
-fn disagreement(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+/// Mean square log deviation that counts as agreement.
+fn tolerance(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+    let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
+    if spreads.is_empty() {
+        return DIFFUSE_LOG * DIFFUSE_LOG;
+    }
+    let index = ((spreads.len() - 1) as f64 * BETTER_SHARE) as usize;
+    spreads.select_nth_unstable_by(index, f64::total_cmp).1.max(DIFFUSE_LOG * DIFFUSE_LOG)
+}
+
+/// Share of the patches' weight that the gains leave unexplained at a tolerance, 0 to 1.
+fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for p in patches {
         let (spread, weight) = p.spread(&p.deviations(gains));
-        sum += weight * spread / (spread + DIFFUSE_LOG * DIFFUSE_LOG);
+        sum += weight * spread / (spread + tolerance);
         total += weight;
     }
     sum / f64::max(total, 1e-12)
@@ -264,19 +279,20 @@ fn disagreement(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
 fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 3]> {
     let n = gains.len();
     for _ in 0..ROUNDS {
+        let tolerance = tolerance(patches, &gains);
         let mut matrix = DMatrix::<f64>::zeros(n, n);
         let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
         for p in patches {
             let deviations = p.deviations(&gains);
             // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
             let (spread, _) = p.spread(&deviations);
-            let trust = DIFFUSE_LOG * DIFFUSE_LOG / (DIFFUSE_LOG * DIFFUSE_LOG + spread);
+            let trust = tolerance / (tolerance + spread);
             let weights: Vec<f64> = p
                 .weights
                 .iter()
                 .zip(&deviations)
                 .map(|(w, d)| {
-                    let x = DIFFUSE_LOG * DIFFUSE_LOG / (DIFFUSE_LOG * DIFFUSE_LOG + mean_square(d));
+                    let x = tolerance / (tolerance + mean_square(d));
                     w * trust * trust * x * x
                 })
                 .collect();
