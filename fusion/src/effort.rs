@@ -40,7 +40,7 @@ pub static FIND: [Step; 2] = [reference(2, 8, 20.0), reference(1, 4, 8.0)];
 
 /// Cost of a frame apart from tracking, on the reference machine: milliseconds fixed and per block integrated.
 const FIXED_MS: f64 = 5.0;
-const BLOCK_MS: f64 = 0.004;
+const BLOCK_MS: f64 = 0.002;
 
 /// The best effort that fits the budget beside integrating as many blocks as the last frame did; the cheapest if none.
 pub fn choose(config: &FusionConfig, last_blocks: usize, valid: f32) -> &'static Effort {

@@ -2,7 +2,7 @@
 //! something about is averaged with it (Curless, Levoy 1996).
 
 use crate::camera::{Pinhole, Rig, Rigid};
-use crate::isa::{Isa, dispatch};
+use crate::isa::{Hot, Isa, dispatch};
 use crate::volume::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
 use glam::Vec3;
@@ -64,7 +64,7 @@ impl Integrator {
                 for (i, _) in stamp.iter().enumerate().filter(|(_, s)| **s == frame) {
                     let at = i * VOXELS..(i + 1) * VOXELS;
                     let (sdf, weight) = (&mut sdf[at.clone()], &mut weight[at]);
-                    dispatch(isa, || kernel.block(depth, coords[i], sdf, weight));
+                    dispatch(isa, BlockUpdate { kernel: &kernel, depth, coord: coords[i], sdf, weight });
                     blocks += 1;
                 }
                 blocks
@@ -135,6 +135,22 @@ struct Kernel {
     step: [Vec3; 3],
     per_mu: f32,
     max_weight: f32,
+}
+
+/// The update of one block.
+struct BlockUpdate<'a> {
+    kernel: &'a Kernel,
+    depth: &'a [f32],
+    coord: BlockCoord,
+    sdf: &'a mut [i16],
+    weight: &'a mut [u16],
+}
+
+impl Hot for BlockUpdate<'_> {
+    #[inline(always)]
+    fn run(self) {
+        self.kernel.block(self.depth, self.coord, self.sdf, self.weight);
+    }
 }
 
 /// Adding this to a small f32 leaves its nearest integer in the low bits.

@@ -47,25 +47,31 @@ fn best(_wish: &str) -> Isa {
     Isa::Portable
 }
 
-/// Runs a kernel compiled for `isa`. `f` must be a closure around `#[inline(always)]` code, so that it is compiled anew
-/// inside each of the functions below.
+/// A hot loop. `run` must be `#[inline(always)]`, so that it is compiled anew for each instruction set (a closure would
+/// stay a function of its own, compiled for none of them).
+pub trait Hot {
+    /// Does the work.
+    fn run(self);
+}
+
+/// Runs a hot loop compiled for `isa`.
 #[inline]
 #[allow(unsafe_code)]
-pub fn dispatch<R>(isa: Isa, f: impl FnOnce() -> R) -> R {
+pub fn dispatch(isa: Isa, hot: impl Hot) {
     #[cfg(target_arch = "x86_64")]
     {
         #[target_feature(enable = "avx2")]
-        fn avx2<R>(f: impl FnOnce() -> R) -> R {
-            f()
+        fn avx2(hot: impl Hot) {
+            hot.run();
         }
         #[target_feature(enable = "avx2,avx512f,avx512vl,avx512bw,avx512dq")]
-        fn avx512<R>(f: impl FnOnce() -> R) -> R {
-            f()
+        fn avx512(hot: impl Hot) {
+            hot.run();
         }
         match isa {
             // SAFETY: a safe function whose only precondition is that the CPU has AVX2; `best` (the only source of
             // this variant in use) detected it, and it is checked once more here.
-            Isa::Avx2 if is_x86_feature_detected!("avx2") => return unsafe { avx2(f) },
+            Isa::Avx2 if is_x86_feature_detected!("avx2") => return unsafe { avx2(hot) },
             // SAFETY: as above; AVX-512 F, VL, BW and DQ are checked here.
             Isa::Avx512
                 if is_x86_feature_detected!("avx512f")
@@ -73,11 +79,11 @@ pub fn dispatch<R>(isa: Isa, f: impl FnOnce() -> R) -> R {
                     && is_x86_feature_detected!("avx512bw")
                     && is_x86_feature_detected!("avx512dq") =>
             {
-                return unsafe { avx512(f) };
+                return unsafe { avx512(hot) };
             }
             _ => {}
         }
     }
     let _ = isa;
-    f()
+    hot.run();
 }

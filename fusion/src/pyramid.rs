@@ -2,7 +2,7 @@
 //! points with normals.
 
 use crate::camera::{LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
-use crate::isa::{Isa, dispatch};
+use crate::isa::{Hot, Isa, dispatch};
 use firmware_config::FusionConfig;
 use glam::{Vec2, Vec3};
 use recordings::types::{Pose, RgbdFrame};
@@ -221,7 +221,8 @@ impl Frame {
         }
         let (width, height) = (rig.depth.width, rig.depth.height);
         let slope = 2.0 * config.max_slope as f32 / rig.depth.fx.min(rig.depth.fy);
-        dispatch(Isa::detect(), || reject_steep(&self.raw_depth, &mut self.depth, width, height, slope));
+        let hot = RejectSteep { raw: &self.raw_depth, out: &mut self.depth, width, height, slope };
+        dispatch(Isa::detect(), hot);
     }
 
     /// The tracking grid: each sample is the mean of the depths of its cell that lie on one surface.
@@ -297,6 +298,21 @@ fn normal(p: Vec3, [left, right, up, down]: [Vec3; 4]) -> Vec3 {
 }
 
 /// Copies depth, leaving out pixels whose neighbours on both sides differ by more than a surface would.
+struct RejectSteep<'a> {
+    raw: &'a [f32],
+    out: &'a mut [f32],
+    width: usize,
+    height: usize,
+    slope: f32,
+}
+
+impl Hot for RejectSteep<'_> {
+    #[inline(always)]
+    fn run(self) {
+        reject_steep(self.raw, self.out, self.width, self.height, self.slope);
+    }
+}
+
 #[inline(always)]
 fn reject_steep(raw: &[f32], out: &mut [f32], width: usize, height: usize, slope: f32) {
     for y in 0..height {
