@@ -37,7 +37,7 @@ const MOST_MISSED: f64 = 4.0;
 const LEAST_MATTE: f64 = 0.1;
 /// Widths of the lobes that are tried: band l of the light is damped by exp(−width l), the Poisson kernel, whose long tail
 /// is that of rough surfaces; 0 is the mirror of Eq. (13).
-const LOBES: [f64; 6] = [0.0, 0.1, 0.2, 0.3, 0.45, 0.6];
+const LOBES: [f64; 6] = [0.0, 0.15, 0.25, 0.4, 0.6, 0.8];
 
 /// What Eq. (13) says of one segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
