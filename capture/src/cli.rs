@@ -49,6 +49,8 @@ pub enum Command {
     Import(Import),
     /// Write a result, or a recording, in a form that other programs read.
     Export(Export),
+    /// Put things into a result, take them out, or light it anew; write pictures.
+    Render(Box<crate::commands::render::Render>),
     /// Print every setting with unit, range and default, as a configuration file.
     Config(Config),
     /// The daemon: wait for a Kinect, scan on command or by itself, publish.
@@ -184,6 +186,16 @@ pub enum ExportTo {
     Ply,
     /// Of a result: the light as a Radiance panorama.
     Hdr,
+    /// Of a result: the light as an OpenEXR panorama.
+    Exr,
+    /// Of a result: a glTF scene with materials, light and cameras.
+    Glb,
+    /// Of a result and its scan: cameras and pictures as COLMAP's text model.
+    Colmap,
+    /// Of a result and its scan: cameras and pictures with a transforms.json.
+    Nerf,
+    /// Of a result and its scan: a page that any browser opens, to look at, relight and try things in.
+    Html,
     /// Of a recording: a TUM RGB-D folder, frame for frame.
     Tum,
 }
@@ -201,6 +213,9 @@ pub struct Export {
     /// Form to write.
     #[arg(long, value_name = "FORM")]
     pub to: ExportTo,
+    /// Its scan, for pictures [default: scan.lscan or the .lscan of the same stem beside the result].
+    #[arg(long, value_name = "FILE")]
+    pub scan: Option<PathBuf>,
     /// File or folder to write; a folder must be new or empty.
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,

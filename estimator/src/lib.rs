@@ -14,6 +14,7 @@ pub mod pose;
 pub mod preview;
 pub mod random;
 mod raster;
+pub mod reality;
 mod refit;
 mod regions;
 pub mod remesh;

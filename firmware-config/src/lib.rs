@@ -9,6 +9,7 @@ pub mod fusion;
 pub mod kinect;
 pub mod kinect_models;
 pub mod memory;
+pub mod reality;
 mod settings;
 
 use std::collections::BTreeMap;
@@ -19,6 +20,7 @@ pub use estimator::{EstimatorConfig, ExposureChoice, SolverChoice, Switch, Trans
 pub use fusion::FusionConfig;
 pub use kinect::{CameraConfig, KinectConfig};
 pub use memory::{Planned, memory_plan};
+pub use reality::RealityConfig;
 pub use settings::{ConfigError, SettingInfo};
 
 /// Every setting.
@@ -38,6 +40,8 @@ pub struct Config {
     pub camera: CameraConfig,
     /// Colour cameras by serial number.
     pub cameras: BTreeMap<String, CameraConfig>,
+    /// Mixed-reality rendering.
+    pub reality: RealityConfig,
 }
 
 impl Config {
@@ -101,6 +105,7 @@ impl Config {
             DaemonConfig::SECTION => self.daemon.set(field, value),
             KinectConfig::SECTION => self.kinect.set(field, value),
             CameraConfig::SECTION => self.camera.set(field, value),
+            RealityConfig::SECTION => self.reality.set(field, value),
             _ => None,
         };
         outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
@@ -122,6 +127,7 @@ impl Config {
             self.daemon.settings(),
             self.kinect.settings(),
             self.camera.settings(),
+            self.reality.settings(),
         ]
         .concat()
     }

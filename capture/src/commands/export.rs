@@ -5,6 +5,7 @@ use crate::cli::{self, ExportTo};
 use crate::failure::Failure;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
+use recordings::scan::Scan;
 use recordings::tum::export_tum;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -27,6 +28,33 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
             check_parent(output)?;
             estimator::export::ply::write(&Estimate::read(&args.file)?, output).map_err(written)?;
         }
+        ExportTo::Glb => {
+            check_parent(output)?;
+            estimator::export::glb::write(&Estimate::read(&args.file)?, output).map_err(written)?;
+        }
+        ExportTo::Exr => {
+            check_parent(output)?;
+            estimator::export::hdr::write_exr(&Estimate::read(&args.file)?.light, output).map_err(written)?;
+        }
+        ExportTo::Html => {
+            check_parent(output)?;
+            let result = Estimate::read(&args.file)?;
+            let scan =
+                super::render::find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
+            estimator::export::html::write(&result, scan.as_ref(), output).map_err(written)?;
+        }
+        ExportTo::Colmap | ExportTo::Nerf => {
+            let result = Estimate::read(&args.file)?;
+            let path = super::render::find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
+                Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
+            })?;
+            let scan = Scan::read(&path)?;
+            let write = match args.to {
+                ExportTo::Colmap => estimator::export::cameras::write_colmap,
+                _ => estimator::export::cameras::write_nerf,
+            };
+            into_fresh_folder(output, |dir| write(&result, &scan, dir).map_err(written))?;
+        }
         ExportTo::Hdr => {
             check_parent(output)?;
             estimator::export::hdr::write(&Estimate::read(&args.file)?.light, output).map_err(written)?;
@@ -36,7 +64,7 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
 }
 
 /// What exists is never overwritten; returns the folder's name.
-fn check_fresh(dir: &Path) -> Result<&OsStr, Failure> {
+pub(super) fn check_fresh(dir: &Path) -> Result<&OsStr, Failure> {
     let used = dir.is_file() || std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
     match dir.file_name() {
         Some(name) if !used => Ok(name),
@@ -54,12 +82,16 @@ fn into_fresh_folder(dir: &Path, fill: impl FnOnce(&Path) -> Result<(), Failure>
 }
 
 /// A folder that goes away again unless it is renamed.
-struct StagingFolder(PathBuf);
+pub(super) struct StagingFolder(PathBuf);
 
 impl StagingFolder {
-    fn create(path: PathBuf) -> Result<Self, Failure> {
+    pub(super) fn create(path: PathBuf) -> Result<Self, Failure> {
         std::fs::create_dir_all(&path).map_err(|e| Failure::writing(&path, e))?;
         Ok(Self(path))
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.0
     }
 }
 

@@ -5,10 +5,12 @@ mod check;
 mod config;
 mod estimate;
 mod export;
+mod frames;
 mod import;
 mod inspect;
 mod list;
 mod record;
+pub mod render;
 mod replay;
 mod scan;
 
@@ -29,6 +31,7 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
         Command::Estimate(a) => estimate::run(a, cli.json, reporter),
         Command::Import(a) => import::run(a),
         Command::Export(a) => export::run(a),
+        Command::Render(a) => render::run(a, reporter),
         Command::Config(a) => config::run(a, cli.json),
         Command::Capture(a) => capture::run(a, reporter),
         Command::Scan(a) => scan::run(a, cli.json),

@@ -39,6 +39,15 @@ pub fn write(light: &Light, path: &Path) -> Result<()> {
     super::write_whole(path, |file| write_to(&panorama(light, SIZE), SIZE, BufWriter::new(file)))
 }
 
+/// Writes the panorama to `path` as OpenEXR.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn write_exr(light: &Light, path: &Path) -> Result<()> {
+    let pixels: Vec<glam::Vec3> = panorama(light, SIZE).into_iter().map(glam::Vec3::from).collect();
+    super::picture::write_exr(path, SIZE.0, SIZE.1, &pixels)
+}
+
 fn write_to(pixels: &[[f32; 3]], (width, height): (usize, usize), mut out: BufWriter<&File>) -> Result<()> {
     write!(out, "#?RADIANCE\nSOFTWARE=lumiscan\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n")?;
     for row in pixels.chunks_exact(width) {

@@ -1,7 +1,11 @@
 //! Results in the formats that other tools read.
 
+pub mod cameras;
 pub mod folder;
+pub mod glb;
 pub mod hdr;
+pub mod html;
+pub mod picture;
 pub mod ply;
 
 use recordings::types::Response;

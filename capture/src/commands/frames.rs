@@ -1,0 +1,347 @@
+//! What `lumiscan render` reads its lights from and writes its frames to.
+
+use super::check_parent;
+use super::export::{StagingFolder, check_fresh};
+use super::render::has_extension;
+use crate::failure::Failure;
+use estimator::export::picture::{write_exr, write_png};
+use estimator::reality::compose::Picture;
+use estimator::reality::environment::Environment;
+use estimator::reality::panorama::{Panorama, Projector, turned};
+use estimator::reality::relight::{BANDS, NewLight};
+use glam::Vec3;
+use recordings::result::{Estimate, Light};
+use recordings::types::{Response, RgbImage};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+/// Frames per second of a video.
+const FRAME_RATE: &str = "30";
+
+/// A picture ready to be written.
+pub struct Frame {
+    size: (usize, usize),
+    linear: Vec<Vec3>,
+    bytes: Vec<u8>,
+}
+
+impl Frame {
+    /// Encodes a picture; what it does not touch keeps the photo's bytes.
+    pub fn new(size: (usize, usize), picture: Picture, photo: Option<RgbImage>, response: Response) -> Self {
+        let mut bytes = photo.map_or_else(|| vec![0; 3 * size.0 * size.1], |p| p.data);
+        let fresh = bytes.iter().all(|b| *b == 0);
+        for ((out, p), touched) in bytes.chunks_exact_mut(3).zip(&picture.linear).zip(&picture.touched) {
+            if *touched || fresh {
+                out.copy_from_slice(&[response.encode(p.x), response.encode(p.y), response.encode(p.z)]);
+            }
+        }
+        Self { size, linear: picture.linear, bytes }
+    }
+}
+
+/// Form of the output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// One 8-bit picture.
+    Png,
+    /// One linear picture.
+    Exr,
+    /// 000.png …
+    Folder,
+    /// Through ffmpeg.
+    Video,
+}
+
+/// Where frames go. Nothing appears under the output's name before all of it is there.
+pub struct Sink {
+    path: PathBuf,
+    kind: Kind,
+    frames: usize,
+    staging: Option<StagingFolder>,
+    video: Option<(Child, PathBuf)>,
+}
+
+impl Sink {
+    /// Checks the output and makes ready for it.
+    pub fn open(path: &Path) -> Result<Self, Failure> {
+        let kind = if has_extension(path, &["png"]) {
+            Kind::Png
+        } else if has_extension(path, &["exr"]) {
+            Kind::Exr
+        } else if has_extension(path, &["mp4"]) {
+            Kind::Video
+        } else if path.extension().is_none() || path.is_dir() {
+            Kind::Folder
+        } else {
+            let shown = path.display();
+            return Err(Failure::Usage(format!("{shown}: the output must be .png, .exr, .mp4 or a folder")));
+        };
+        let mut staging = None;
+        if kind == Kind::Folder {
+            let mut name = check_fresh(path)?.to_os_string();
+            name.push(format!(".{}.part", std::process::id()));
+            staging = Some(StagingFolder::create(path.with_file_name(name))?);
+        } else {
+            check_parent(path)?;
+        }
+        if kind == Kind::Video {
+            find_ffmpeg("to write an .mp4 file; name a folder instead to get the frames as pictures")?;
+        }
+        Ok(Self { path: path.to_path_buf(), kind, frames: 0, staging, video: None })
+    }
+
+    /// Form of the output.
+    pub fn kind(&self) -> Kind {
+        self.kind
+    }
+
+    /// Takes one frame.
+    pub fn frame(&mut self, frame: &Frame) -> Result<(), Failure> {
+        let (w, h) = frame.size;
+        let written = |e: std::io::Error| Failure::writing(&self.path, e);
+        match self.kind {
+            Kind::Png => write_png(&self.path, w as u32, h as u32, &frame.bytes).map_err(written)?,
+            Kind::Exr => write_exr(&self.path, w, h, &frame.linear).map_err(written)?,
+            Kind::Folder => {
+                if let Some(staging) = &self.staging {
+                    let path = staging.path().join(format!("{:03}.png", self.frames));
+                    write_png(&path, w as u32, h as u32, &frame.bytes).map_err(written)?;
+                }
+            }
+            Kind::Video => {
+                if self.video.is_none() {
+                    self.video = Some(start_video(&self.path, frame.size)?);
+                }
+                let pipe = self.video.as_mut().and_then(|(child, _)| child.stdin.as_mut());
+                pipe.map_or(Ok(()), |p| p.write_all(&frame.bytes)).map_err(written)?;
+            }
+        }
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Puts the output in its place.
+    pub fn finish(mut self) -> Result<(), Failure> {
+        if let Some(staging) = &self.staging {
+            std::fs::rename(staging.path(), &self.path).map_err(|e| Failure::writing(&self.path, e))?;
+        }
+        if let Some((mut child, part)) = self.video.take() {
+            drop(child.stdin.take());
+            let ok = child.wait().is_ok_and(|s| s.success());
+            if !ok {
+                let _ = std::fs::remove_file(&part);
+                return Err(Failure::Internal("ffmpeg could not write the video; see its message above".into()));
+            }
+            std::fs::rename(&part, &self.path).map_err(|e| Failure::writing(&self.path, e))?;
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Sink {
+    fn drop(&mut self) {
+        if let Some((mut child, part)) = self.video.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+            let _ = std::fs::remove_file(part);
+        }
+    }
+}
+
+fn find_ffmpeg(purpose: &str) -> Result<(), Failure> {
+    let found = Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    match found {
+        Ok(status) if status.success() => Ok(()),
+        _ => Err(Failure::Usage(format!("ffmpeg is not on the PATH; it is needed {purpose}"))),
+    }
+}
+
+fn start_video(path: &Path, (w, h): (usize, usize)) -> Result<(Child, PathBuf), Failure> {
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(".part");
+    let part = path.with_file_name(name);
+    let child = Command::new("ffmpeg")
+        .args(["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &format!("{w}x{h}")])
+        .args(["-r", FRAME_RATE, "-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
+        .args(["-fflags", "+bitexact", "-flags", "+bitexact", "-f", "mp4"])
+        .arg(&part)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn()
+        .map_err(|e| Failure::Internal(format!("ffmpeg: {e}")))?;
+    Ok((child, part))
+}
+
+/// New lights, one after the other.
+pub struct Lights {
+    source: Source,
+    yaw_deg: f32,
+    projector: Option<Projector>,
+}
+
+enum Source {
+    Files(std::collections::VecDeque<PathBuf>),
+    Video { child: Child, frames: BufReader<ChildStdout>, path: PathBuf, read: usize },
+    Coefficients(Option<Vec<[f64; 3]>>),
+}
+
+impl Drop for Source {
+    fn drop(&mut self) {
+        if let Self::Video { child, .. } = self {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+impl Lights {
+    /// Finds out what is meant.
+    pub fn open(text: &str, yaw_deg: f32) -> Result<Self, Failure> {
+        let path = Path::new(text);
+        let source = if let Some(other) = text.strip_prefix("result:") {
+            Source::Coefficients(Some(Estimate::read(Path::new(other))?.light.coefficients))
+        } else if let Some(file) = text.strip_prefix("sh:") {
+            Source::Coefficients(Some(read_coefficients(Path::new(file))?))
+        } else if path.is_dir() {
+            Source::Files(panoramas(path)?)
+        } else if has_extension(path, &["hdr", "exr", "png", "jpg", "jpeg"]) {
+            Source::Files([path.to_path_buf()].into())
+        } else if path.is_file() {
+            open_video(path)?
+        } else {
+            return Err(Failure::Input(format!(
+                "{text}: no such file; a light is a panorama, a folder of panoramas, a video, result:OTHER.lres or sh:FILE"
+            )));
+        };
+        Ok(Self { source, yaw_deg, projector: None })
+    }
+
+    /// How many there are, where that is known beforehand.
+    pub fn count(&self) -> Option<usize> {
+        match &self.source {
+            Source::Files(files) => Some(files.len()),
+            Source::Coefficients(_) => Some(1),
+            Source::Video { .. } => None,
+        }
+    }
+
+    /// The next light.
+    pub fn next(&mut self) -> Result<Option<NewLight>, Failure> {
+        let panorama = match &mut self.source {
+            Source::Coefficients(c) => return Ok(c.take().map(|c| from_coefficients(c, self.yaw_deg))),
+            Source::Files(files) => match files.pop_front() {
+                None => return Ok(None),
+                Some(path) => Panorama::read(&path)?,
+            },
+            Source::Video { frames, path, read, .. } => match video_frame(frames, path)? {
+                Some(panorama) => {
+                    *read += 1;
+                    panorama
+                }
+                None if *read == 0 => {
+                    return Err(Failure::Input(format!("{}: a video without frames", path.display())));
+                }
+                None => return Ok(None),
+            },
+        };
+        let projector = match self.projector.take().filter(|p| p.fits(&panorama)) {
+            Some(p) => p,
+            None => Projector::new(&panorama, BANDS),
+        };
+        let yaw = self.yaw_deg.to_radians();
+        let coefficients = turned(&projector.project(&panorama), f64::from(yaw));
+        self.projector = Some(projector);
+        Ok(Some(NewLight { coefficients, environment: panorama.environment(yaw) }))
+    }
+}
+
+fn from_coefficients(mut coefficients: Vec<[f64; 3]>, yaw_deg: f32) -> NewLight {
+    let bands = coefficients.len().isqrt().min(BANDS);
+    coefficients.truncate(bands * bands);
+    let coefficients = turned(&coefficients, f64::from(yaw_deg.to_radians()));
+    let light = Light { coefficients, ..Light::default() };
+    let environment = Environment::from_light(&light);
+    let mut coefficients = light.coefficients;
+    coefficients.resize(BANDS * BANDS, [0.0; 3]);
+    NewLight { coefficients, environment }
+}
+
+fn read_coefficients(path: &Path) -> Result<Vec<[f64; 3]>, Failure> {
+    let wrong = |e: &str| Failure::Input(format!("{}: {e}", path.display()));
+    let text = std::fs::read(path).map_err(|e| wrong(&e.to_string()))?;
+    let json: serde_json::Value = serde_json::from_slice(&text).map_err(|e| wrong(&format!("not JSON: {e}")))?;
+    let list: Vec<[f64; 3]> = serde_json::from_value(json["coefficients"].clone())
+        .map_err(|_| wrong("must hold \"coefficients\": [[r, g, b], …]"))?;
+    let square = list.len().isqrt().pow(2) == list.len();
+    if list.is_empty() || !square || list.iter().flatten().any(|x| !x.is_finite()) {
+        return Err(wrong("coefficients must be finite and a square number of rows"));
+    }
+    Ok(list)
+}
+
+fn panoramas(folder: &Path) -> Result<std::collections::VecDeque<PathBuf>, Failure> {
+    let input = |e: &dyn std::fmt::Display| Failure::Input(format!("{}: {e}", folder.display()));
+    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(|e| input(&e))?
+        .map(|entry| entry.map(|e| e.path()))
+        .collect::<Result<_, _>>()
+        .map_err(|e| input(&e))?;
+    files.sort();
+    // The same frame may stand there in two forms: the one with the whole range counts.
+    for form in [&["exr"][..], &["hdr"], &["png", "jpg", "jpeg"]] {
+        let found: std::collections::VecDeque<PathBuf> =
+            files.iter().filter(|f| has_extension(f, form)).cloned().collect();
+        if !found.is_empty() {
+            return Ok(found);
+        }
+    }
+    Err(input(&"no panoramas (.exr, .hdr, .png, .jpg) in this folder"))
+}
+
+fn open_video(path: &Path) -> Result<Source, Failure> {
+    find_ffmpeg("to read a video; give a folder of panoramas instead")?;
+    let mut child = Command::new("ffmpeg")
+        .args(["-v", "error", "-nostdin", "-i"])
+        .arg(path)
+        .args(["-an", "-f", "image2pipe", "-vcodec", "ppm", "-"])
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .map_err(|e| Failure::Internal(format!("ffmpeg: {e}")))?;
+    let out = child.stdout.take().ok_or_else(|| Failure::Internal("ffmpeg gives no output".into()))?;
+    Ok(Source::Video { child, frames: BufReader::new(out), path: path.to_path_buf(), read: 0 })
+}
+
+/// One frame in PPM form.
+fn video_frame(frames: &mut impl BufRead, path: &Path) -> Result<Option<Panorama>, Failure> {
+    let wrong = |e: &dyn std::fmt::Display| Failure::Input(format!("{}: {e}", path.display()));
+    let mut header = Vec::new();
+    while header.iter().filter(|b| **b == b'\n').count() < 3 {
+        let n = frames.take(64).read_until(b'\n', &mut header).map_err(|e| wrong(&e))?;
+        if n == 0 && header.is_empty() {
+            return Ok(None);
+        }
+        if n == 0 || header.len() > 64 {
+            return Err(wrong(&"ends within a frame"));
+        }
+    }
+    let text = String::from_utf8_lossy(&header).into_owned();
+    let words: Vec<&str> = text.split_ascii_whitespace().collect();
+    let (Some(&"P6"), Some(Ok(w)), Some(Ok(h))) =
+        (words.first(), words.get(1).map(|w| w.parse::<usize>()), words.get(2).map(|h| h.parse::<usize>()))
+    else {
+        return Err(wrong(&"cannot be read as a video"));
+    };
+    if w != 2 * h || w > 16_384 {
+        return Err(wrong(&format!(
+            "is {w}x{h}: a panorama of all directions is twice as wide as high, at most 16384"
+        )));
+    }
+    let mut bytes = vec![0u8; 3 * w * h];
+    frames.read_exact(&mut bytes).map_err(|_| wrong(&"ends within a frame"))?;
+    let table = Response::Srgb.linear_table();
+    let pixels = bytes.chunks_exact(3).map(|p| Vec3::from([p[0], p[1], p[2]].map(|v| table[v as usize]))).collect();
+    Panorama::new(w, pixels).map(Some).map_err(|e| wrong(&e))
+}

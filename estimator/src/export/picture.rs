@@ -1,0 +1,61 @@
+//! Pictures: PNG as screens take them, OpenEXR linear.
+
+use exr::prelude::WritableImage as _;
+use glam::Vec3;
+use std::io::{BufWriter, Error, Result};
+use std::path::Path;
+
+/// Writes 8-bit RGB (`3 width height` bytes).
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn write_png(path: &Path, width: u32, height: u32, bytes: &[u8]) -> Result<()> {
+    super::write_whole(path, |file| {
+        let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::Fast);
+        let mut writer = encoder.write_header().map_err(Error::other)?;
+        writer.write_image_data(bytes).map_err(Error::other)?;
+        writer.finish().map_err(Error::other)
+    })
+}
+
+/// An 8-bit RGBA PNG in memory.
+pub(crate) fn encode_rgba(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8>> {
+    encode(width, height, bytes, png::ColorType::Rgba)
+}
+
+/// An 8-bit RGB PNG in memory.
+pub(crate) fn encode_rgb(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8>> {
+    encode(width, height, bytes, png::ColorType::Rgb)
+}
+
+fn encode(width: u32, height: u32, bytes: &[u8], color: png::ColorType) -> Result<Vec<u8>> {
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header().map_err(Error::other)?;
+    writer.write_image_data(bytes).map_err(Error::other)?;
+    writer.finish().map_err(Error::other)?;
+    Ok(out)
+}
+
+/// Writes linear RGB, 32-bit float, ZIP-compressed.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn write_exr(path: &Path, width: usize, height: usize, pixels: &[Vec3]) -> Result<()> {
+    use exr::prelude::{Blocks, Compression, Encoding, Image, LineOrder, SpecificChannels};
+    let channels = SpecificChannels::rgb(|at: exr::math::Vec2<usize>| {
+        let p = pixels.get(at.1 * width + at.0).copied().unwrap_or_default();
+        (p.x, p.y, p.z)
+    });
+    let encoding =
+        Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+    let layer = exr::prelude::Layer::new((width, height), exr::prelude::LayerAttributes::default(), encoding, channels);
+    super::write_whole(path, |file| {
+        Image::from_layer(layer).write().non_parallel().to_buffered(BufWriter::new(file)).map_err(Error::other)
+    })
+}

@@ -1,0 +1,110 @@
+//! What the keyframes saw past the mesh: the part of the surroundings that needs no guess.
+
+use super::environment::{Environment, SIDE, texel};
+use crate::scene::Scene;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::result::{Estimate, ResultKeyframe};
+use recordings::types::RgbImage;
+
+/// Pixels between samples: finer than a texel of the surroundings.
+const STEP: u32 = 3;
+/// Pixels around a sample that must miss the mesh, too: its outline is blurred and its pose not exact.
+const CLEARANCE: f64 = 4.0;
+/// 8-bit values from here on are clipped: at least this much light.
+const CLIPPED: u8 = 252;
+/// Keyframes that differ by this share about a direction saw something near, not the surroundings.
+const SPREAD: f32 = 0.3;
+
+/// Radiance of one texel of the surroundings.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Known {
+    /// Radiance, in the light's units.
+    pub radiance: Vec3,
+    /// How far the keyframes agree, 0..1; 0 = not seen.
+    pub trust: f32,
+    /// True if the picture was clipped there: the radiance is a lower bound.
+    pub clipped: bool,
+}
+
+/// Camera ray through a pixel, in the world: unit direction.
+#[must_use]
+pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
+    let d = keyframe.world_from_camera.rotation * keyframe.camera.unproject(u, v);
+    d.normalize().as_vec3()
+}
+
+/// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
+#[must_use]
+pub fn surroundings(estimate: &Estimate, scene: &Scene, pictures: &[Option<RgbImage>]) -> Vec<Known> {
+    let table = estimate.response.linear_table();
+    let views: Vec<Vec<(usize, Vec3, bool)>> = estimate
+        .keyframes
+        .par_iter()
+        .zip(pictures)
+        .map(|(keyframe, picture)| picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table)))
+        .collect();
+    let mut samples: Vec<Vec<(Vec3, bool)>> = vec![Vec::new(); SIDE * SIDE];
+    for (i, radiance, clipped) in views.into_iter().flatten() {
+        samples[i].push((radiance, clipped));
+    }
+    samples.par_iter().map(|s| agree(s)).collect()
+}
+
+/// The light with what was seen of the surroundings in place of what was inferred of them.
+#[must_use]
+pub fn overlay(light: &Environment, known: &[Known]) -> Environment {
+    light.overlaid(|i, inferred| {
+        let k = &known[i];
+        let radiance = if k.clipped { k.radiance.max(inferred) } else { k.radiance };
+        inferred.lerp(radiance, k.trust)
+    })
+}
+
+/// Mean radiance of every texel that one keyframe saw past the mesh, ascending.
+fn one_view(
+    keyframe: &ResultKeyframe,
+    picture: &RgbImage,
+    scene: &Scene,
+    table: &[f32; 256],
+) -> Vec<(usize, Vec3, bool)> {
+    let eye = keyframe.world_from_camera.translation.as_vec3();
+    let gain = Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9));
+    let mut found = Vec::new();
+    for y in (0..picture.height).step_by(STEP as usize) {
+        for x in (0..picture.width).step_by(STEP as usize) {
+            let misses = |dx: f64, dy: f64| !scene.occluded(eye, ray(keyframe, f64::from(x) + dx, f64::from(y) + dy));
+            let c = CLEARANCE;
+            if misses(0.0, 0.0) && misses(-c, 0.0) && misses(c, 0.0) && misses(0.0, -c) && misses(0.0, c) {
+                let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
+                let linear = Vec3::new(table[p[0] as usize], table[p[1] as usize], table[p[2] as usize]);
+                let clipped = p.iter().any(|v| *v >= CLIPPED);
+                found.push((texel(ray(keyframe, f64::from(x), f64::from(y))), linear / gain, clipped));
+            }
+        }
+    }
+    found.sort_by_key(|(i, _, _)| *i);
+    found
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|same| {
+            let mean = same.iter().map(|(_, r, _)| *r).sum::<Vec3>() / same.len() as f32;
+            (same[0].0, mean, same.iter().any(|(_, _, c)| *c))
+        })
+        .collect()
+}
+
+fn agree(samples: &[(Vec3, bool)]) -> Known {
+    if samples.is_empty() {
+        return Known::default();
+    }
+    let median = |mut x: Vec<f32>| {
+        x.sort_by(f32::total_cmp);
+        x[x.len() / 2]
+    };
+    let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c]).collect());
+    let radiance = Vec3::new(channel(0), channel(1), channel(2));
+    let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum()).collect());
+    let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
+    let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
+    Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped }
+}
