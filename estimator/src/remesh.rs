@@ -21,7 +21,8 @@ const IRREGULAR_SHARE: f32 = 0.02;
 /// The mesh grows to at most this many times its vertices.
 const GROWTH: usize = 4;
 
-/// Prepares a scan's mesh. A fused mesh is welded, loses its specks and gets edges of `config.regularise` median edges.
+/// Prepares a scan's mesh. A fused mesh is welded, loses its specks and gets edges of `config.regularise` median edges,
+/// or longer ones where its area would need more than about `config.max_vertices` vertices.
 /// An imported mesh is taken as it is, vertex by vertex, unless `config.regularise` is something else than 1: only
 /// unusable triangles go and missing normals are made. A mesh that is regular already keeps its vertices too.
 #[must_use]
@@ -34,7 +35,8 @@ pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> 
         return repaired(mesh);
     }
     let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
-    let target = config.regularise as f32 * median(edge_lengths(&clean));
+    let affordable = edge_for(area(&clean), config.max_vertices);
+    let target = (config.regularise as f32 * median(edge_lengths(&clean))).max(affordable);
     if clean.triangles.is_empty() || !(target > 0.0 && target.is_finite()) {
         return repaired(mesh);
     }
@@ -80,6 +82,16 @@ fn remesh(mesh: &Mesh, target: f32) -> Mesh {
     let raw = Mesh { positions: surface.positions, normals, triangles };
     let triangles = usable_triangles(&raw);
     compacted(&raw, triangles)
+}
+
+/// Edge with which `vertices` vertices cover an area: an equilateral triangulation has √3/2 edge² a vertex.
+fn edge_for(area: f64, vertices: u32) -> f32 {
+    (area / (0.75f64.sqrt() * f64::from(vertices))).sqrt() as f32
+}
+
+fn area(mesh: &Mesh) -> f64 {
+    let corners = |t: &[u32; 3]| t.map(|i| mesh.positions[i as usize]);
+    mesh.triangles.iter().map(corners).map(|[a, b, c]| 0.5 * f64::from((b - a).cross(c - a).length())).sum()
 }
 
 /// The input surface along the normal, at most half a target edge away and facing the same way.
@@ -278,6 +290,16 @@ mod tests {
             assert!(n.dot(p.normalize()) > 0.99);
         }
         assert_eq!(mesh, regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion));
+    }
+
+    #[test]
+    fn no_more_vertices_than_the_estimator_can_hold() {
+        let config = EstimatorConfig { max_vertices: 2000, ..Default::default() };
+        let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
+        assert_eq!(topology(&mesh), (2, 0));
+        let vertices = mesh.positions.len();
+        assert!((1500..=2500).contains(&vertices), "{vertices} vertices for about 2000");
+        assert!(mesh.positions.iter().all(|p| (p.length() - 1.0).abs() < 5e-3));
     }
 
     #[test]
