@@ -24,6 +24,8 @@ const FOLDS: u32 = 5;
 const PIECE: usize = 1024;
 /// Lit colours count relative to themselves, but not below this share of the segment's median.
 const DARK_FLOOR: f64 = 0.15;
+/// No channel's colours are taken to be smaller than this share of the brightest channel's.
+const DARK_CHANNEL: f64 = 1e-3;
 /// Residuals beyond this many robust standard deviations count less (Huber).
 const HUBER: f64 = 1.5;
 /// Rounds of reweighting.
@@ -262,7 +264,10 @@ fn solve_channel(
     for group in votes.chunk_by(|a, b| a.segment == b.segment) {
         medians[group[0].segment as usize] = median(group.iter().map(color).collect());
     }
-    let overall = median(votes.iter().map(color).collect()).max(f64::MIN_POSITIVE);
+    // A channel that is dark everywhere is measured against the others: its own size would be a division by nothing.
+    let brightest = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize].max_element());
+    let least = DARK_CHANNEL * median(votes.iter().map(brightest).collect());
+    let overall = median(votes.iter().map(color).collect()).max(least).max(1e-30);
     // Relative weights: a lit colour errs in proportion to itself.
     let relative = |v: &Vote, predicted: f64| {
         let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
@@ -449,7 +454,13 @@ fn posterior(gram: DMatrix<f64>, residual: f64, total: f64, pull: f64, k: usize)
     if total <= 0.0 {
         return (f64::INFINITY, vec![f64::MAX.sqrt(); k]);
     }
-    let eigen = gram.symmetric_eigen();
+    // The decomposition is given numbers about 1: its tolerances are absolute.
+    let scale = gram.amax();
+    if !(scale > 0.0 && scale.is_finite()) {
+        return (f64::INFINITY, vec![f64::MAX.sqrt(); k]);
+    }
+    let mut eigen = (gram / scale).symmetric_eigen();
+    eigen.eigenvalues *= scale;
     let largest = eigen.eigenvalues.max();
     let smallest = eigen.eigenvalues.min();
     let condition = if smallest > 0.0 { largest / smallest } else { f64::INFINITY };

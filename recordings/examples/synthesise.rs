@@ -67,8 +67,7 @@ fn record(
 
 fn jpeg(rgb: &RgbImage, timestamp_ns: TimestampNs) -> Result<ColorFrame, Box<dyn Error>> {
     let mut bytes = Vec::new();
-    let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, JPEG_QUALITY);
-    encoder.set_optimized_huffman_tables(true);
+    let encoder = jpeg_encoder::Encoder::new(&mut bytes, JPEG_QUALITY);
     let size = (u16::try_from(rgb.width)?, u16::try_from(rgb.height)?);
     encoder.encode(&rgb.data, size.0, size.1, jpeg_encoder::ColorType::Rgb)?;
     let (width, height) = (rgb.width, rgb.height);

@@ -124,6 +124,8 @@ fn be32(bytes: &[u8]) -> u32 {
 fn walk_jpeg(bytes: &[u8]) -> Result<PictureHeader, String> {
     const TRUNCATED: &str = "truncated JPEG";
     let mut size = None;
+    // Components of a sequential frame; a progressive one always comes in several scans.
+    let mut components = 0;
     let mut at = 2;
     loop {
         // Between segments stand fill bytes; inside a scan, data, stuffed 0xff00 and restart markers.
@@ -145,6 +147,11 @@ fn walk_jpeg(bytes: &[u8]) -> Result<PictureHeader, String> {
         // Start of frame, of whatever coding; 0xc4, 0xc8 and 0xcc are tables.
         if matches!(marker, 0xc0..=0xcf) && !matches!(marker, 0xc4 | 0xc8 | 0xcc) && body.len() >= 5 {
             size = Some((be32(&body[3..5]), be32(&body[1..3])));
+            components = if marker <= 0xc1 { body.get(5).copied().unwrap_or(0) } else { 0 };
+        }
+        // Start of scan. zune-jpeg leaves the colour out of such pictures without a word.
+        if marker == 0xda && body.first().is_some_and(|scanned| *scanned < components) {
+            return Err("JPEG with one scan per colour component; save it as an interleaved (ordinary) JPEG".into());
         }
         at += length;
     }
@@ -271,6 +278,16 @@ mod tests {
         }
         assert!(color_frame(0, 24, 32, ColorEncoding::Jpeg, GRADIENT_JPEG.to_vec()).decode().is_err());
         assert!(color_frame(0, 32, 24, ColorEncoding::Png, GRADIENT_JPEG.to_vec()).decode().is_err());
+    }
+
+    #[test]
+    fn jpegs_whose_colours_would_be_lost_are_refused() {
+        let mut bytes = Vec::new();
+        let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 90);
+        encoder.set_optimized_huffman_tables(true);
+        encoder.encode(&[200, 100, 50].repeat(32 * 24), 32, 24, jpeg_encoder::ColorType::Rgb).unwrap();
+        let problem = color_frame(0, 32, 24, ColorEncoding::Jpeg, bytes).decode().unwrap_err();
+        assert!(problem.contains("interleaved"), "{problem}");
     }
 
     #[test]
