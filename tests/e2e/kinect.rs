@@ -84,7 +84,7 @@ fn packets_replay_bit_for_bit() {
     let plan = format!("{},fast,loss=0.001,seed=3", arg(&source));
     let mut scans = Vec::new();
     for (name, raw) in [("frames.lrec", &[][..]), ("packets.lrec", &["--raw"][..])] {
-        let c = recorded(dir.path(), name, &plan, &[&["--seconds", "1.5"], raw].concat());
+        let c = recorded(dir.path(), name, &plan, &[&["--seconds", "2.2"], raw].concat());
         assert!(c["counters"]["depth"]["missing"].as_u64().unwrap() > 0, "{c}");
         let device = dir.path().join(format!("{name}-device"));
         // The frames end where the recording does, on a packet; both end on the same pair by time.
