@@ -80,7 +80,7 @@ section! {
         /// Components with a smaller share of the largest component's vertices are specks and go.
         speck_share: f64 = 0.005, [0.0..=1.0], "", "";
         /// A fused mesh is regularised to at most about this many vertices: the estimator's memory and time grow with them.
-        max_vertices: u32 = 150000, [1000..=2000000], "vertices", "";
+        max_vertices: u32 = 80000, [1000..=2000000], "vertices", "";
         /// Weight of colour in the segmentation distance.
         segment_color: f64 = 1.0, [0.0..=100.0], "", "w1, Eq. (6)";
         /// Weight of concavity in the segmentation distance.
