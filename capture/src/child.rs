@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What `lumiscan --json estimate` prints on stdout.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,9 @@ pub struct Ended {
 const POLL: Duration = Duration::from_millis(20);
 /// Last lines of its stderr that are kept for the message.
 const KEPT_LINES: usize = 4;
+/// An estimator that keeps no promise at all is ended after so many budgets, and this long on top.
+const PATIENCE_BUDGETS: f64 = 4.0;
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Estimates `folder`'s `scan.lscan` into `result.lres` and `preview.png`, passing progress on.
 ///
@@ -62,8 +65,14 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
         command.arg("--threads").arg(n.to_string());
     }
     if let Some(mb) = effort.memory {
-        command.arg("--memory").arg(mb.to_string());
+        // Where memory has run out there is none for a backtrace either: printing one fails within itself and never ends.
+        command.arg("--memory").arg(mb.to_string()).env("RUST_BACKTRACE", "0");
     }
+    let patience = match effort.rounds {
+        None => Some(PATIENCE + Duration::from_secs_f64(PATIENCE_BUDGETS * effort.budget)),
+        // Rounds replace the clock.
+        Some(_) => None,
+    };
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(cannot)?;
     let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {
@@ -75,21 +84,22 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
             let mut text = String::new();
             BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
         });
-        let status = wait(&mut child, stop);
+        let status = wait(&mut child, stop, patience);
         let last_lines = relay.join().unwrap_or_default();
         let answer = answer.join().unwrap_or_default();
         let status = status?;
         let summary = serde_json::from_str(&answer).ok();
         let failure = match status.code() {
             Some(0) if summary.is_some() => None,
-            _ => Some(failure(status, &last_lines)),
+            _ => Some(failure(status, &last_lines, effort.memory)),
         };
         Ok(Ended { summary, failure })
     })
 }
 
-/// Waits for the child's end, and ends it if a signal came.
-fn wait(child: &mut Child, stop: &Stop) -> Result<ExitStatus, Failure> {
+/// Waits for the child's end, and ends it if a signal came or it outlasts all patience.
+fn wait(child: &mut Child, stop: &Stop, patience: Option<Duration>) -> Result<ExitStatus, Failure> {
+    let began = Instant::now();
     loop {
         match child.try_wait() {
             Ok(Some(status)) => return Ok(status),
@@ -100,6 +110,11 @@ fn wait(child: &mut Child, stop: &Stop) -> Result<ExitStatus, Failure> {
             let _ = child.kill();
             let _ = child.wait();
             return Err(stopped);
+        }
+        if patience.is_some_and(|p| began.elapsed() > p) {
+            tracing::warn!("the estimator has not ended after {:.0} s and is killed", began.elapsed().as_secs_f64());
+            // It may have ended this moment; its status tells either way.
+            let _ = child.kill();
         }
         std::thread::sleep(POLL);
     }
@@ -139,13 +154,38 @@ fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
     last
 }
 
-fn failure(status: ExitStatus, last_lines: &VecDeque<String>) -> Failure {
+fn failure(status: ExitStatus, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
     let words = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
     match status.code() {
         Some(2) => Failure::Usage(words),
         Some(3) => Failure::Input(words),
         Some(4) => Failure::Unusable(words),
         Some(5) => Failure::Abandoned(words),
-        _ => Failure::Internal(format!("the estimator ended early ({status}) {words}; the scan itself is complete")),
+        _ => {
+            let limit = limit_mb.map_or(String::new(), |mb| {
+                format!(
+                    ", and `lumiscan estimate` on it, or a higher memory limit than {mb} MB, may still bring a result"
+                )
+            });
+            Failure::Internal(format!(
+                "the estimator ended early ({status}) {words}; the scan itself is complete{limit}"
+            ))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wait;
+    use crate::stop::Stop;
+    use std::process::Command;
+    use std::time::Duration;
+
+    #[test]
+    #[cfg(unix)]
+    fn a_child_that_never_ends_is_ended() {
+        let mut child = Command::new("sleep").arg("1000").spawn().unwrap();
+        let status = wait(&mut child, &Stop::default(), Some(Duration::from_millis(50))).unwrap();
+        assert!(!status.success());
     }
 }
