@@ -349,6 +349,10 @@ pub struct Record {
     /// A simulated Kinect instead of a real one: `pattern` or a recording, then `,fault=value` (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
+    /// A sensor of PrimeSense's kind by its OpenNI2 address (empty for the first), or an .oni file.
+    #[cfg(feature = "openni")]
+    #[arg(long, value_name = "ADDRESS")]
+    pub openni: Option<String>,
     /// Settings.
     #[command(flatten)]
     pub settings: Settings,

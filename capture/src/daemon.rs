@@ -16,11 +16,12 @@ use crate::source::Pairs;
 use crate::status::{Board, State};
 use crate::stop::Stop;
 use crate::streaming::{Conditions, Streaming};
-use crate::transport::Bus;
+use crate::transport::{Bus, UsbError};
 use crate::{memory, retention, sensor, trajectory};
 use firmware_config::Config;
 use recordings::recording::Event;
 use recordings::scan::Scan;
+use std::cell::Cell;
 use std::path::Path;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -44,6 +45,8 @@ pub struct Daemon<'a> {
     pub stop: &'a Stop,
     /// Log.
     pub reporter: &'a Reporter,
+    /// The last scan ended with a problem: the LED says so until the next one begins.
+    pub trouble: Cell<bool>,
 }
 
 impl Daemon<'_> {
@@ -58,10 +61,11 @@ impl Daemon<'_> {
             let waited =
                 if self.args.auto { self.wait_for_motion(kinect) } else { self.wait_for_order(kinect, bus.as_mut()) };
             let Some(live) = waited else { continue };
+            self.trouble.set(false);
             if let Err(e) = self.scan(live)
                 && self.stop.check().is_ok()
             {
-                self.board.error(&e.to_string());
+                self.trouble(&e.to_string());
                 // Whatever it was, it shall not be tried a thousand times a second.
                 self.rest(LOOK);
             }
@@ -77,7 +81,7 @@ impl Daemon<'_> {
     fn wait_for_kinect(&self, bus: &mut dyn Bus) -> Option<Kinect> {
         self.board.enter(State::Waiting);
         self.board.set(|s| s.sensor = None);
-        let mut told = String::new();
+        let (mut told, mut times) = (String::new(), 0);
         while self.stop.check().is_ok() {
             match Kinect::open(bus, &self.config.kinect.serial, &self.config.kinect) {
                 Ok(mut kinect) => {
@@ -85,16 +89,19 @@ impl Daemon<'_> {
                     let name = format!("{} {}", found.model.name(), found.serial);
                     tracing::info!("{name} is ready");
                     self.board.set(|s| s.sensor = Some(name));
-                    kinect.set_led(Led::Ready);
+                    kinect.set_led(if self.trouble.get() { Led::Error } else { Led::Ready });
                     self.orders.clear();
                     self.board.enter(State::Ready);
                     return Some(kinect);
                 }
                 Err(e) => {
                     let text = e.to_string();
+                    times = if told == text { times + 1 } else { 1 };
+                    // While it is plugged in, its parts show one after the other.
+                    let believed_at = if e == KinectError::Usb(UsbError::NoPower) { 2 } else { 1 };
                     if e.is_gone() {
                         tracing::debug!("{text}");
-                    } else if told != text {
+                    } else if times == believed_at {
                         self.board.error(&text);
                     }
                     told = text;
@@ -106,7 +113,7 @@ impl Daemon<'_> {
     }
 
     /// Waits for the order to start; `None` if the Kinect went away or the daemon is to end.
-    fn wait_for_order(&self, mut kinect: Kinect, bus: &mut dyn Bus) -> Option<Live> {
+    fn wait_for_order(&self, kinect: Kinect, bus: &mut dyn Bus) -> Option<Live> {
         let mut looked = Instant::now();
         while self.stop.check().is_ok() {
             if self.orders.take_start() {
@@ -121,7 +128,6 @@ impl Daemon<'_> {
             }
             std::thread::sleep(REST);
         }
-        kinect.set_led(Led::Ready);
         None
     }
 
@@ -184,7 +190,7 @@ impl Daemon<'_> {
         let captured = pipeline::run(pairs, &job, &self.stop.deaf(), self.reporter);
         let ending = ending.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(problem) = ending.and_then(|e| e.problem()) {
-            self.board.error(&problem);
+            self.trouble(&problem);
         }
         let captured = captured?;
         // From here on everything can be done again from the scan file.
@@ -208,7 +214,7 @@ impl Daemon<'_> {
             publish::publish(staging, name, entry, effort, self.stop, self.reporter)?;
         tracing::info!("published {}", folder.display());
         if let Some(failure) = failure {
-            self.board.error(&failure.to_string());
+            self.trouble(&failure.to_string());
         }
         self.board.set(|s| {
             s.finished_scans += 1;
@@ -246,6 +252,11 @@ impl Daemon<'_> {
             }
         }
         Ok(())
+    }
+
+    fn trouble(&self, problem: &str) {
+        self.trouble.set(true);
+        self.board.error(problem);
     }
 
     fn rest(&self, time: Duration) {

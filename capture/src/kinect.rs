@@ -13,8 +13,12 @@ const SHUTTER_WIDTH: u16 = 0x0009;
 const SHUTTER_US: f64 = 54.21;
 /// Least time between two readings of it while streaming: at most two commands a second.
 const SHUTTER_INTERVAL: Duration = Duration::from_millis(500);
-/// LED and accelerometer are a courtesy: no longer than this is waited for them.
+/// LED, accelerometer and exposure are a courtesy: no longer than this is waited for them, since packets wait meanwhile.
 const COURTESY_LIMIT: Duration = Duration::from_millis(100);
+/// Failures in a row after which LED and accelerometer are left alone.
+const COURTESY_FAILURES: u32 = 3;
+/// Replies of earlier commands that are read away before one of them is believed to be missing.
+const AUDIO_REPLIES: u32 = 4;
 /// Counts a g of the accelerometer.
 const COUNTS_PER_G: f32 = 819.0;
 const GRAVITY: f32 = 9.806_65;
@@ -26,6 +30,8 @@ pub enum Led {
     Ready,
     /// Scanning: blinking green.
     Scanning,
+    /// At work on a scan, and not to be had: yellow, or off where there is no yellow.
+    Busy,
     /// Error: red.
     Error,
 }
@@ -45,8 +51,9 @@ pub struct Kinect {
 /// LED and accelerometer.
 #[derive(Debug)]
 struct Courtesy {
-    /// Which device has them; `None` where none has, or once it did not answer.
+    /// Which device has them; `None` where none has, or once it did not answer for some time.
     part: Option<Part>,
+    failures: u32,
     tag: u32,
 }
 
@@ -73,6 +80,7 @@ impl Kinect {
             streaming: false,
             courtesy: Courtesy {
                 part: Some(if found.model == Model::K1414 { Part::Motor } else { Part::Audio }),
+                failures: 0,
                 tag: 1,
             },
             found,
@@ -157,6 +165,7 @@ impl Kinect {
                     Led::Ready => 1,
                     Led::Scanning => 4,
                     Led::Error => 2,
+                    Led::Busy => 3,
                 };
                 self.usb.control_out(Part::Motor, 0x06, value, &[], COURTESY_LIMIT)
             }
@@ -165,6 +174,7 @@ impl Kinect {
                     Led::Ready => 3,
                     Led::Scanning => 2,
                     Led::Error => 4,
+                    Led::Busy => 1,
                 };
                 self.audio_command(&[0, 0x10, value]).and_then(|tag| self.audio_status(tag))
             }
@@ -193,7 +203,7 @@ impl Kinect {
             return None;
         }
         self.last_shutter = Some(now);
-        let width = self.commands.read_cmos(self.usb.as_mut(), SHUTTER_WIDTH).ok()?;
+        let width = self.commands.read_cmos(self.usb.as_mut(), SHUTTER_WIDTH, COURTESY_LIMIT).ok()?;
         Some(f64::from(width) * SHUTTER_US)
     }
 
@@ -228,23 +238,33 @@ impl Kinect {
 
     fn audio_status(&mut self, tag: u32) -> Result<(), UsbError> {
         let mut status = [0u8; 512];
-        let n = self.usb.bulk_in(&mut status, COURTESY_LIMIT)?;
         let expected: Vec<u8> = [0x0a6f_e000, tag, 0u32].iter().flat_map(|w| w.to_le_bytes()).collect();
-        if status.get(..n) == Some(&expected[..]) {
-            Ok(())
-        } else {
-            Err(UsbError::Other(format!("status of {n} bytes")))
+        // One that was given up may have been answered since.
+        for _ in 0..AUDIO_REPLIES {
+            let n = self.usb.bulk_in(&mut status, COURTESY_LIMIT)?;
+            if status.get(..n) == Some(&expected[..]) {
+                return Ok(());
+            }
         }
+        Err(UsbError::Other("the audio device answers something else".into()))
     }
 
-    /// What fails once is left alone from then on.
+    /// What is not there, or fails again and again, is left alone from then on.
     fn courteously<T>(&mut self, outcome: Result<T, UsbError>) -> Option<T> {
-        outcome
-            .inspect_err(|e| {
-                tracing::info!("no LED and accelerometer: {e}");
-                self.courtesy.part = None;
-            })
-            .ok()
+        match outcome {
+            Ok(value) => {
+                self.courtesy.failures = 0;
+                Some(value)
+            }
+            Err(e) => {
+                self.courtesy.failures += 1;
+                if e == UsbError::NoDevice || self.courtesy.failures >= COURTESY_FAILURES {
+                    tracing::info!("no LED and accelerometer: {e}");
+                    self.courtesy.part = None;
+                }
+                None
+            }
+        }
     }
 }
 

@@ -49,16 +49,18 @@ pub struct Live {
     silence: Duration,
     accelerometer_every: Option<Duration>,
     next_accelerometer: Duration,
+    /// Acceleration that is said before the next frame.
+    unsaid: Option<[f32; 3]>,
+    /// The newest that was said.
+    acceleration: Option<Accelerometer>,
     read_exposure: bool,
     exposure_us: Option<f64>,
-    heard: Duration,
     depth_heard: Duration,
     color_heard: Duration,
     restarts_in_a_row: u32,
     restarts: u32,
     /// Ring counters of streams that were started anew.
     earlier: RingStats,
-    newest_host_ns: i64,
 }
 
 impl Live {
@@ -67,6 +69,9 @@ impl Live {
     /// # Errors
     /// Unplugged, no bandwidth, or no answer.
     pub fn start(mut kinect: Kinect, config: &KinectConfig) -> Result<Self, KinectError> {
+        let accelerometer_every =
+            (config.accelerometer_hz > 0).then(|| Duration::from_secs(1) / config.accelerometer_hz);
+        let unsaid = accelerometer_every.and_then(|_| kinect.accelerometer());
         let source = kinect.start()?;
         let mut decoder = Decoder::default();
         for packet in kinect.traffic() {
@@ -78,18 +83,17 @@ impl Live {
             decoder,
             buffer: Box::new([0; PACKET_BYTES]),
             silence: Duration::from_millis(u64::from(config.silence_ms)),
-            accelerometer_every: (config.accelerometer_hz > 0)
-                .then(|| Duration::from_secs(1) / config.accelerometer_hz),
-            next_accelerometer: now,
+            accelerometer_every,
+            next_accelerometer: accelerometer_every.map_or(now, |every| now + every),
+            unsaid,
+            acceleration: None,
             read_exposure: config.read_exposure,
             exposure_us: None,
-            heard: now,
             depth_heard: now,
             color_heard: now,
             restarts_in_a_row: 0,
             restarts: 0,
             earlier: RingStats::default(),
-            newest_host_ns: 0,
             kinect,
         })
     }
@@ -127,6 +131,12 @@ impl Live {
         self.kinect.waits()
     }
 
+    /// The newest acceleration that was handed on.
+    #[must_use]
+    pub fn acceleration(&self) -> Option<Accelerometer> {
+        self.acceleration
+    }
+
     /// Exposure time by the sensor's register, if it is read at all: a hint.
     #[must_use]
     pub fn exposure_us(&self) -> Option<f64> {
@@ -161,10 +171,15 @@ impl Live {
             && let Some(packet) = self.source.pop(self.buffer.as_mut_slice())
         {
             let data = &self.buffer[..packet.len];
-            self.newest_host_ns = packet.host_ns;
             raw(packet, data);
             let (mut depth, mut color) = (false, false);
+            let (unsaid, said) = (&mut self.unsaid, &mut self.acceleration);
             self.decoder.push(packet.endpoint, packet.host_ns, data, &mut |event| {
+                // Where up is stands before the frames that it is for.
+                if let Some(acceleration) = unsaid.take() {
+                    let reading = Accelerometer { timestamp_ns: event.timestamp_ns(), acceleration };
+                    sink(Event::Accelerometer(*said.insert(reading)));
+                }
                 depth |= matches!(event, Event::Depth(_));
                 color |= matches!(event, Event::Color(_));
                 sink(event);
@@ -178,35 +193,30 @@ impl Live {
             }
             taken += 1;
         }
-        if taken > 0 {
-            self.heard = self.kinect.now();
-            self.read_sensors(sink);
-            return Ok(Polled::Some);
-        }
-        if gone {
+        if taken == 0 && gone {
             self.decoder.end();
             return Ok(Polled::Gone);
         }
-        if self.kinect.now().saturating_sub(self.heard) > self.silence {
+        // Packets that never make a frame are silence, too.
+        if self.kinect.now().saturating_sub(self.depth_heard.max(self.color_heard)) > self.silence {
             self.restart()?;
             return Ok(Polled::Nothing);
+        }
+        if taken > 0 {
+            self.read_sensors();
+            return Ok(Polled::Some);
         }
         std::thread::sleep(REST);
         Ok(Polled::Nothing)
     }
 
-    fn read_sensors(&mut self, sink: &mut impl FnMut(Event)) {
+    fn read_sensors(&mut self) {
         let now = self.kinect.now();
         if let Some(every) = self.accelerometer_every
             && now >= self.next_accelerometer
         {
             self.next_accelerometer = now + every;
-            match self.kinect.accelerometer() {
-                Some(acceleration) => {
-                    sink(Event::Accelerometer(Accelerometer { timestamp_ns: self.newest_host_ns, acceleration }));
-                }
-                None => self.accelerometer_every = None,
-            }
+            self.unsaid = self.kinect.accelerometer();
         }
         if self.read_exposure
             && let Some(us) = self.kinect.exposure_us()
@@ -227,7 +237,7 @@ impl Live {
         self.earlier = self.stats().ring;
         self.source = self.kinect.start()?;
         let now = self.kinect.now();
-        (self.heard, self.depth_heard, self.color_heard) = (now, now, now);
+        (self.depth_heard, self.color_heard) = (now, now);
         Ok(())
     }
 }
@@ -309,11 +319,62 @@ mod tests {
                 log.writes[..7],
                 [(0x105, 0), (0x06, 0), (0x12, 3), (0x13, 1), (0x14, 0x1e), (0x06, 2), (0x17, 0)]
             );
-            assert_eq!(log.writes[7..12], [(0x0c, 0), (0x0d, 1), (0x0e, 0x1e), (0x05, 1), (0x47, 0)]);
-            assert_eq!(log.writes[12..], [(0x06, 0), (0x05, 0)]);
+            assert_eq!(log.writes[7..13], [(0x05, 0), (0x0c, 0), (0x0d, 1), (0x0e, 0x1e), (0x05, 1), (0x47, 0)]);
+            assert_eq!(log.writes[13..], [(0x06, 0), (0x05, 0)]);
             let g = s.accelerometer.first().unwrap();
             assert!((g[1] + 9.8).abs() < 0.01 && g[0] == 0.0 && g[2] == 0.0, "{g:?}");
         }
+    }
+
+    #[test]
+    fn the_exposure_is_read_twice_a_second_at_most() {
+        let plan = || SimPlan { frames: 90, ..fast() };
+        let mut bus = SimBus::new(plan());
+        session(&mut bus, &config()).unwrap();
+        assert_eq!(bus.log().exposures, 0, "off by default");
+        let mut bus = SimBus::new(plan());
+        let s = session(&mut bus, &KinectConfig { read_exposure: true, ..config() }).unwrap();
+        let read = bus.log().exposures;
+        assert!((4..=8).contains(&read) && bus.log().complaints.is_empty(), "{read} readings in 3 s");
+        assert_eq!(s.depth.len(), 90);
+        // One that never answers costs a tenth of a second, twice a second, and no frame.
+        let mut bus = SimBus::new(SimPlan { not_ready: 200, ..plan() });
+        let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
+        let mut live = Live::start(kinect, &KinectConfig { read_exposure: true, ..config() }).unwrap();
+        while !bus.log().over {
+            live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
+        }
+        assert!(bus.log().exposures <= 8 && live.exposure_us().is_none());
+    }
+
+    /// Accelerometer and frames stand on one clock, and where up is stands before the first frame.
+    #[test]
+    fn the_accelerometer_tells_the_devices_time() {
+        let mut bus = SimBus::new(SimPlan { frames: 60, ..fast() });
+        let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
+        let mut live = Live::start(kinect, &config()).unwrap();
+        let mut events = Vec::new();
+        while !bus.log().over {
+            live.poll(&mut |_, _| {}, &mut |event| events.push(event)).unwrap();
+        }
+        assert!(matches!(events[0], Event::Accelerometer(_)));
+        let times: Vec<i64> = events.iter().map(Event::timestamp_ns).collect();
+        assert!(times.iter().all(|t| (0..2_000_000_000).contains(&(t - times[0]))), "{times:?}");
+        let readings = events.iter().filter(|e| matches!(e, Event::Accelerometer(_))).count();
+        assert!((8..=12).contains(&readings), "{readings} in 2 s");
+    }
+
+    #[test]
+    fn garbage_without_end_is_silence() {
+        let mut bus = SimBus::new(SimPlan { garbage: 1.0, frames: 0, ..fast() });
+        let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
+        let mut live = Live::start(kinect, &config()).unwrap();
+        let error = loop {
+            if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
+                break e;
+            }
+        };
+        assert_eq!(error, UsbError::Timeout.into());
     }
 
     #[test]

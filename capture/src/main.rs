@@ -17,6 +17,8 @@ mod manifest;
 mod memory;
 mod motion;
 mod notify;
+#[cfg(feature = "openni")]
+mod openni;
 mod packet;
 mod pair;
 mod pipeline;

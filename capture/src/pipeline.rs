@@ -13,6 +13,7 @@ use crate::stop::Stop;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use firmware_config::Config;
 use fusion::{Fusion, FusionError, FusionOutput, Tracking};
+use glam::DVec3;
 use recordings::scan::{CaptureStats, FrameId, ScanTail, ScanWriter};
 use recordings::types::{ColorFrame, Pose, RgbdFrame, Sensor, TimestampNs};
 use std::path::{Path, PathBuf};
@@ -46,8 +47,11 @@ pub struct Captured {
     pub writing: Duration,
 }
 
-/// A decoded frame, and the share of the source played with it.
-type Played = (RgbdFrame, f64);
+/// A decoded frame, where up is in the camera's axes, and the share of the source played with it.
+type Played = (RgbdFrame, Option<DVec3>, f64);
+
+/// Forces within these are gravity: a sensor that is waved feels more or less.
+const GRAVITY_M_S2: std::ops::Range<f64> = 8.5..11.1;
 
 /// What the disk thread is told.
 enum ToDisk {
@@ -171,14 +175,16 @@ fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, way: &GivesWay<'_>, dro
 }
 
 fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<(), Failure> {
-    for RawPair { color, depth, played } in raw {
+    for RawPair { color, depth, acceleration, played } in raw {
         let rgb = color.decode().map_err(|problem| {
             let (shown, time) = (path.display(), color.timestamp_ns as f64 * 1e-9);
             Failure::Input(format!(
                 "{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"
             ))
         })?;
-        if out.send((RgbdFrame { depth, color, rgb }, played)).is_err() {
+        // At rest the accelerometer feels the ground push up.
+        let up = acceleration.map(|a| DVec3::from(a.map(f64::from))).filter(|a| GRAVITY_M_S2.contains(&a.length()));
+        if out.send((RgbdFrame { depth, color, rgb }, up, played)).is_err() {
             break;
         }
     }
@@ -222,8 +228,12 @@ fn fuse(
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
-    for (frame, played) in frames {
+    for (frame, up, played) in frames {
         stop.check()?;
+        if let Some(up) = up {
+            // Counts until the first frame is tracked.
+            fusion.set_gravity(up);
+        }
         let push = Instant::now();
         let report = fusion.push(&frame).map_err(&bad_input)?;
         spent += push.elapsed();

@@ -41,6 +41,8 @@ pub const CONST_SHIFT: u16 = 0x00;
 const ATTEMPTS: u32 = 3;
 /// Replies that are not ours before a command is sent again.
 const MAX_STALE: u32 = 64;
+/// Between two attempts: a plug that is being pulled shows as failed transfers first.
+const REST: Duration = Duration::from_millis(50);
 /// Between two looks for a reply.
 const POLL: Duration = Duration::from_millis(1);
 
@@ -98,35 +100,45 @@ impl Commands {
     /// # Errors
     /// No such device, no reply in time, or a reply that is none.
     pub fn send(&mut self, usb: &mut dyn Transport, command: u16, payload: &[u16]) -> Result<Vec<u8>, KinectError> {
-        let mut outcome = Err(KinectError::Usb(UsbError::Timeout));
-        for _ in 0..ATTEMPTS {
-            self.tag = self.tag.wrapping_add(1);
-            let message = message(MAGIC_OUT, command, self.tag, payload);
-            outcome = match usb.control_out(Part::Camera, 0, 0, &message, self.limit) {
-                Ok(()) => self.reply(usb, command),
-                Err(e) => Err(e.into()),
-            };
-            match &outcome {
-                Ok(reply) => {
-                    self.keep(CONTROL_OUT, message);
-                    self.keep(CONTROL_IN, reply.clone());
-                    break;
+        let mut attempt = 1;
+        loop {
+            match self.send_once(usb, command, payload, self.limit) {
+                Err(e) if !e.is_gone() && attempt < ATTEMPTS => {
+                    tracing::debug!("{e}");
+                    usb.pause(REST);
                 }
-                Err(e) if e.is_gone() => break,
-                Err(e) => tracing::debug!("{e}"),
+                outcome => return outcome,
             }
+            attempt += 1;
         }
-        outcome.map(|reply| reply[HEADER..].to_vec())
+    }
+
+    /// One attempt, of at most about `limit`.
+    fn send_once(
+        &mut self,
+        usb: &mut dyn Transport,
+        command: u16,
+        payload: &[u16],
+        limit: Duration,
+    ) -> Result<Vec<u8>, KinectError> {
+        self.tag = self.tag.wrapping_add(1);
+        let message = message(MAGIC_OUT, command, self.tag, payload);
+        usb.control_out(Part::Camera, 0, 0, &message, limit)?;
+        let reply = self.reply(usb, command, limit)?;
+        self.keep(CONTROL_OUT, message);
+        let payload = reply[HEADER..].to_vec();
+        self.keep(CONTROL_IN, reply);
+        Ok(payload)
     }
 
     /// Waits for the reply to the newest tag; what is left of earlier commands, or of an earlier session, is read away.
-    fn reply(&self, usb: &mut dyn Transport, command: u16) -> Result<Vec<u8>, KinectError> {
-        let deadline = usb.now() + self.limit;
+    fn reply(&self, usb: &mut dyn Transport, command: u16, limit: Duration) -> Result<Vec<u8>, KinectError> {
+        let deadline = usb.now() + limit;
         let mut buffer = [0u8; REPLY_BYTES];
         let mut problem = None;
         let mut stale = 0;
         loop {
-            let n = usb.control_in(Part::Camera, 0, 0, &mut buffer, self.limit)?;
+            let n = usb.control_in(Part::Camera, 0, 0, &mut buffer, limit)?;
             if n != 0 && n != REPLY_BYTES {
                 let reply = buffer.get(..n).unwrap_or(&buffer);
                 match check(reply, command, self.tag) {
@@ -153,12 +165,12 @@ impl Commands {
         self.send(usb, WRITE_REGISTER, &[register, value]).map(|_| ())
     }
 
-    /// Reads a register of the RGB sensor.
+    /// Reads a register of the RGB sensor: one attempt of at most about `limit`, for use while packets wait to be taken.
     ///
     /// # Errors
     /// As [`Commands::send`].
-    pub fn read_cmos(&mut self, usb: &mut dyn Transport, register: u16) -> Result<u16, KinectError> {
-        let reply = self.send(usb, CMOS, &[1, register & 0x7fff, 0])?;
+    pub fn read_cmos(&mut self, usb: &mut dyn Transport, register: u16, limit: Duration) -> Result<u16, KinectError> {
+        let reply = self.send_once(usb, CMOS, &[1, register & 0x7fff, 0], limit)?;
         word(&reply, 2).ok_or_else(|| too_short(CMOS, &reply))
     }
 

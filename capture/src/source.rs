@@ -21,6 +21,9 @@ pub enum Source {
     Packets(Box<Packets>),
     /// A Kinect that streams.
     Kinect(Box<Streaming>),
+    /// An `.oni` file.
+    #[cfg(feature = "openni")]
+    OpenNi(Box<crate::openni::Device>),
 }
 
 /// A recording of packets, and the frames that came of them and are yet to be taken.
@@ -33,6 +36,11 @@ pub struct Packets {
 impl Source {
     /// Opens a recording or a TUM folder.
     fn open(path: &Path) -> Result<Self, Failure> {
+        #[cfg(feature = "openni")]
+        if path.extension().is_some_and(|e| e == "oni") {
+            let device = crate::openni::Device::open(&path.to_string_lossy());
+            return Ok(Self::OpenNi(Box::new(device.map_err(|e| Failure::Input(format!("{}: {e}", path.display())))?)));
+        }
         if path.is_file() {
             let reader = RecordingReader::open(path)?;
             if reader.kind() == RecordingKind::Packets {
@@ -48,6 +56,8 @@ impl Source {
             Self::Frames(s) => s.sensor(),
             Self::Packets(p) => p.reader.sensor(),
             Self::Kinect(k) => k.sensor(),
+            #[cfg(feature = "openni")]
+            Self::OpenNi(o) => o.sensor(),
         }
     }
 
@@ -57,6 +67,8 @@ impl Source {
             Self::Frames(s) => Ok(s.event(index)?),
             Self::Packets(p) => p.next_event(path),
             Self::Kinect(k) => Ok(k.next_event()),
+            #[cfg(feature = "openni")]
+            Self::OpenNi(o) => o.next_event().map_err(|e| Failure::Input(format!("{}: {e}", path.display()))),
         }
     }
 
@@ -65,6 +77,8 @@ impl Source {
             Self::Frames(s) => s.progress(index),
             Self::Packets(p) => p.reader.position() as f64 / p.reader.file_bytes() as f64,
             Self::Kinect(_) => 0.0,
+            #[cfg(feature = "openni")]
+            Self::OpenNi(_) => 0.0,
         }
     }
 
@@ -72,6 +86,8 @@ impl Source {
     fn missing_packets(&self) -> Option<u64> {
         let streams = match self {
             Self::Frames(_) => return None,
+            #[cfg(feature = "openni")]
+            Self::OpenNi(_) => return None,
             Self::Packets(p) => p.decoder.stats(),
             Self::Kinect(k) => return Some(k.missing_packets()),
         };
@@ -105,6 +121,8 @@ pub struct RawPair {
     pub color: ColorFrame,
     /// Depth.
     pub depth: DepthFrame,
+    /// Newest reading of the accelerometer: specific force in m/s², camera axes.
+    pub acceleration: Option<[f32; 3]>,
     /// Share of the source that has been played, all turns counted.
     pub played: f64,
 }
@@ -121,6 +139,7 @@ pub struct Pairs {
     /// The events of each pair; only kept if the source is played more than once.
     index: Vec<Place>,
     replayed: Option<Replayed>,
+    acceleration: Option<[f32; 3]>,
     stats: CaptureStats,
     span: Option<(TimestampNs, TimestampNs)>,
 }
@@ -150,8 +169,8 @@ impl Pairs {
     /// There is nothing of that name, or it is damaged.
     pub fn open(path: &Path, plays: u32, config: &CaptureConfig) -> Result<Self, Failure> {
         let source = Source::open(path)?;
-        if plays > 1 && matches!(source, Source::Packets(_)) {
-            let problem = "holds USB packets, which play forward only; leave --loop out, or record without --raw";
+        if plays > 1 && !matches!(source, Source::Frames(_)) {
+            let problem = "plays forward only; leave --loop out, or record frames";
             return Err(Failure::Usage(format!("{}: {problem}", path.display())));
         }
         Ok(Self::new(source, path, plays, config))
@@ -175,6 +194,7 @@ impl Pairs {
             plays,
             index: Vec::new(),
             replayed: None,
+            acceleration: None,
             stats: CaptureStats::default(),
             span: None,
         }
@@ -243,7 +263,7 @@ impl Pairs {
                         self.index.push(Place { color: color_at, depth: depth_at, time: color.timestamp_ns });
                     }
                     let played = self.source.progress(self.next) / f64::from(self.plays);
-                    return Ok(Some(RawPair { color, depth, played }));
+                    return Ok(Some(RawPair { color, depth, acceleration: self.acceleration, played }));
                 }
                 Some(Decided::Color(_)) => self.stats.unpaired_color += 1,
                 Some(Decided::Depth(_)) => self.stats.unpaired_depth += 1,
@@ -270,7 +290,8 @@ impl Pairs {
                 self.check_size("depth", (d.width, d.height), d.timestamp_ns, self.source.sensor().depth.intrinsics)?;
                 self.pairer.push_depth(d.timestamp_ns.saturating_add(self.depth_offset_ns), (number, d));
             }
-            Event::Accelerometer(_) | Event::Packet(_) => {}
+            Event::Accelerometer(a) => self.acceleration = Some(a.acceleration),
+            Event::Packet(_) => {}
         }
         Ok(())
     }
@@ -328,7 +349,7 @@ impl Pairs {
         self.count(depth.missing_packets, false);
         color.timestamp_ns = clock;
         let played = (self.stats.pairs + 1) as f64 / (self.index.len() as f64 * f64::from(self.plays));
-        Ok(Some(RawPair { color, depth, played }))
+        Ok(Some(RawPair { color, depth, acceleration: self.acceleration, played }))
     }
 }
 

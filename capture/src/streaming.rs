@@ -90,9 +90,9 @@ impl Streaming {
     pub fn new(mut live: Live, sensor: Sensor, conditions: Conditions) -> Self {
         live.set_led(Led::Scanning);
         Self {
+            frames: live.acceleration().map(Event::Accelerometer).into_iter().collect(),
             live,
             sensor,
-            frames: VecDeque::new(),
             motion: Motion::new(conditions.config.motion),
             first: None,
             newest: TimestampNs::MIN,
@@ -193,7 +193,7 @@ impl Streaming {
         let mut slot = self.ending.lock().unwrap_or_else(PoisonError::into_inner);
         if slot.is_none() {
             tracing::info!("the capture is over: {ending:?}");
-            self.live.set_led(if ending.problem().is_some() { Led::Error } else { Led::Ready });
+            self.live.set_led(if ending.problem().is_some() { Led::Error } else { Led::Busy });
             *slot = Some(ending);
         }
         None

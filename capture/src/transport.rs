@@ -14,6 +14,12 @@ pub enum UsbError {
     /// There is no such device, or no longer.
     #[error("no Kinect is plugged in; plug one in, and its power supply")]
     NoDevice,
+    /// Only the motor shows, which lives on USB power alone.
+    #[error("only the Kinect's motor shows on USB: its 12 V power supply is missing; plug it in")]
+    NoPower,
+    /// A Kinect V2 is plugged in, and no other.
+    #[error("this is a Kinect V2, which is not supported; plug in a Kinect V1")]
+    KinectV2,
     /// The system does not let this user open it.
     #[error(
         "the Kinect may not be opened by this user; install the udev rule and join group `lumiscan` (see capture/README.md)"
@@ -26,7 +32,10 @@ pub enum UsbError {
     #[error("the Kinect did not answer in time; unplug it and plug it in again")]
     Timeout,
     /// The bus has no room for its streams.
-    #[error("the USB controller has no bandwidth left for the Kinect; give it a USB 2 controller of its own")]
+    #[error(
+        "the kernel takes no stream of the Kinect: no bandwidth is left, or no memory for transfers; give it a USB 2 \
+         controller of its own, and look what `lumiscan check` says of the usbfs memory"
+    )]
     Bandwidth,
     /// Anything else.
     #[error("USB: {0}; unplug the Kinect and plug it in again")]
@@ -55,7 +64,8 @@ pub trait Bus: Send {
     /// Every Kinect V1 camera that is plugged in.
     ///
     /// # Errors
-    /// The USB stack fails (that there is none counts as an empty list).
+    /// The USB stack fails (that there is none counts as an empty list), or something like a Kinect is there, but none
+    /// that can be used.
     fn list(&mut self) -> Result<Vec<Found>, UsbError>;
     /// True while this one is plugged in; nothing is opened for it.
     fn is_here(&mut self, found: &Found) -> bool;

@@ -1,7 +1,7 @@
 //! The real USB stack: libusb through `rusb`, and isochronous streams through its FFI.
 //!
 //! # Safety
-//! This is the only file of the workspace with `unsafe`. The argument, which each block refers to by number:
+//! This is the only file of the default build with `unsafe`. The argument, which each block refers to by number:
 //!
 //! 1. A transfer is allocated by `libusb_alloc_transfer`, checked for null, and freed exactly once, by
 //!    [`Transfer::drop`], when it is not in flight: [`Streams`] frees transfers only after `in_flight` has fallen to 0,
@@ -38,6 +38,8 @@ const MAX_ERRORS: u32 = 256;
 const MAX_PACKET: usize = 3072;
 /// Interface of every part.
 const INTERFACE: u8 = 0;
+/// Interfaces of an audio device that has firmware; with one it is a boot loader that would take commands for pages.
+const AUDIO_INTERFACES: u8 = 2;
 /// Longest wait for a string descriptor.
 const STRING_LIMIT: Duration = Duration::from_millis(200);
 
@@ -65,18 +67,24 @@ impl UsbBus {
         };
         devices.iter().filter_map(|d| part(&d).map(|p| (p, d))).collect()
     }
-
-    /// True if a Kinect V2 is plugged in, which is not supported.
-    pub fn has_v2(&mut self) -> bool {
-        self.parts().iter().any(|(part, _)| *part == Part::KinectV2)
-    }
 }
 
 impl Bus for UsbBus {
     fn list(&mut self) -> Result<Vec<Found>, UsbError> {
-        let parts = self.parts();
+        let mut parts = self.parts();
+        let has = |parts: &[(Part, Device<Context>)], part| parts.iter().any(|(p, _)| *p == part);
+        if !has(&parts, Part::Camera) {
+            // News of plugging may not reach us (containers): a new context looks for itself.
+            self.context = None;
+            parts = self.parts();
+        }
         let cameras = parts.iter().filter(|(part, _)| *part == Part::Camera);
-        Ok(cameras.filter_map(|(_, device)| found(device, &parts)).collect())
+        let all: Vec<_> = cameras.filter_map(|(_, device)| found(device, &parts)).collect();
+        match all.is_empty() {
+            true if has(&parts, Part::KinectV2) => Err(UsbError::KinectV2),
+            true if has(&parts, Part::Motor) => Err(UsbError::NoPower),
+            _ => Ok(all),
+        }
     }
 
     fn is_here(&mut self, found: &Found) -> bool {
@@ -89,10 +97,21 @@ impl Bus for UsbBus {
         let is_it = |d: &Device<Context>| (d.bus_number(), d.address()) == (found.bus, found.address);
         let (_, device) = parts.iter().find(|(p, d)| *p == Part::Camera && is_it(d)).ok_or(UsbError::NoDevice)?;
         let camera = claimed(device)?;
-        let courtesy = |part: Part| sibling(device, &parts, part).and_then(|d| claimed(d).ok());
+        let usable = |part: Part, d: &Device<Context>| {
+            part != Part::Audio || d.active_config_descriptor().is_ok_and(|c| c.num_interfaces() >= AUDIO_INTERFACES)
+        };
+        let courtesy =
+            |part: Part| sibling(device, &parts, part).filter(|d| usable(part, d)).and_then(|d| claimed(d).ok());
         let (motor, audio) =
             if found.model == Model::K1414 { (courtesy(Part::Motor), None) } else { (None, courtesy(Part::Audio)) };
-        Ok(Box::new(UsbKinect { camera: Arc::new(camera), motor, audio, streams: None, opened: Instant::now() }))
+        Ok(Box::new(UsbKinect {
+            camera: Arc::new(camera),
+            motor,
+            audio,
+            streams: None,
+            alternate: 0,
+            opened: Instant::now(),
+        }))
     }
 }
 
@@ -171,6 +190,8 @@ struct UsbKinect {
     camera: Arc<DeviceHandle<Context>>,
     motor: Option<DeviceHandle<Context>>,
     audio: Option<DeviceHandle<Context>>,
+    /// Alternate setting of the camera's interface.
+    alternate: u8,
     opened: Instant,
 }
 
@@ -220,12 +241,14 @@ impl Transport for UsbKinect {
     }
 
     fn select_alternate(&mut self, setting: u8) -> Result<(), UsbError> {
-        self.camera.set_alternate_setting(INTERFACE, setting).map_err(from_rusb)
+        self.camera.set_alternate_setting(INTERFACE, setting).map_err(from_rusb)?;
+        self.alternate = setting;
+        Ok(())
     }
 
     fn start(&mut self, endpoints: &[u8], sink: PacketSink) -> Result<(), UsbError> {
         self.stop();
-        self.streams = Some(Streams::start(&self.camera, endpoints, sink, self.opened)?);
+        self.streams = Some(Streams::start(&self.camera, self.alternate, endpoints, sink, self.opened)?);
         Ok(())
     }
 
@@ -393,6 +416,7 @@ struct Streams {
 impl Streams {
     fn start(
         camera: &Arc<DeviceHandle<Context>>,
+        alternate: u8,
         endpoints: &[u8],
         sink: PacketSink,
         epoch: Instant,
@@ -406,7 +430,7 @@ impl Streams {
         });
         let mut streams = Self { transfers: Vec::new(), callback, camera: Arc::clone(camera), events: None };
         for &endpoint in endpoints {
-            let packet_bytes = packet_bytes(camera, endpoint);
+            let packet_bytes = packet_bytes(&camera.device(), alternate, endpoint);
             for _ in 0..TRANSFERS {
                 streams.transfers.push(Transfer::new(camera, endpoint, packet_bytes, &streams.callback)?);
             }
@@ -416,12 +440,8 @@ impl Streams {
             match submit(transfer.raw, &streams.callback) {
                 0 => {}
                 c::LIBUSB_ERROR_NO_DEVICE => return Err(UsbError::NoDevice),
-                // ENOSPC comes out of libusb as an I/O error.
-                c::LIBUSB_ERROR_IO => return Err(UsbError::Bandwidth),
-                c::LIBUSB_ERROR_NO_MEM => {
-                    let problem = "the kernel grants no memory for transfers (usbcore.usbfs_memory_mb)";
-                    return Err(UsbError::Other(problem.into()));
-                }
+                // ENOSPC and ENOMEM come out of libusb as an I/O error.
+                c::LIBUSB_ERROR_IO | c::LIBUSB_ERROR_NO_MEM => return Err(UsbError::Bandwidth),
                 code => return Err(UsbError::Other(format!("submitting a transfer failed with {code}"))),
             }
         }
@@ -466,11 +486,16 @@ impl Drop for Streams {
     }
 }
 
-/// Bytes a packet of the endpoint can have.
-fn packet_bytes(camera: &DeviceHandle<Context>, endpoint: u8) -> usize {
-    // SAFETY: the device is kept alive by its handle.
-    let said = unsafe { ffi::libusb_get_max_iso_packet_size(camera.device().as_raw(), endpoint) };
-    usize::try_from(said).ok().filter(|n| (1..=MAX_PACKET).contains(n)).unwrap_or(MAX_ISO_PACKET)
+/// Bytes a packet of the endpoint can have. (libusb's own function for it looks at the first alternate setting only.)
+fn packet_bytes(camera: &Device<Context>, alternate: u8, endpoint: u8) -> usize {
+    let said = camera.active_config_descriptor().ok().and_then(|config| {
+        let interface = config.interfaces().find(|i| i.number() == INTERFACE)?;
+        let setting = interface.descriptors().find(|s| s.setting_number() == alternate)?;
+        let size = setting.endpoint_descriptors().find(|e| e.address() == endpoint)?.max_packet_size();
+        // Bits 12 and 11 count further packets in a microframe.
+        Some(usize::from(size & 0x7ff) * (1 + usize::from(size >> 11 & 3)))
+    });
+    said.filter(|n| (1..=MAX_PACKET).contains(n)).unwrap_or(MAX_ISO_PACKET)
 }
 
 /// Starts the event thread, at raised priority where that is permitted.

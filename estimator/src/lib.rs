@@ -18,6 +18,7 @@ pub mod reality;
 mod refit;
 mod regions;
 pub mod remesh;
+mod response;
 mod robust;
 pub mod scene;
 pub mod segmentation;
@@ -84,6 +85,8 @@ pub fn estimate(
     let response = scan.sensor.response;
     let mut fields = association::associate(&mesh, &scene, &scan.keyframes, &response, config, progress);
     decisions.append(&mut fields.decisions);
+    let (decision, doubt) = response::verify(&fields, &response);
+    decisions.push(decision);
     if fields.lit_weight.iter().all(|w| *w <= 0.0) {
         return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
     }
@@ -143,7 +146,7 @@ pub fn estimate(
         camera: k.camera,
         residual_px: v.residual_px,
     });
-    let mut warnings = Vec::new();
+    let mut warnings = Vec::from_iter(doubt);
     if scan.keyframes.len() < 2 {
         warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());
     }

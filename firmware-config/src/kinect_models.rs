@@ -109,6 +109,7 @@ pub struct StreamFormat {
     /// Frames a second.
     pub fps: u32,
     /// Registers to write, in this order, to start the stream; isochronous transfers are submitted before.
+    /// Each is stopped first: a killed session may have left it running in another mode.
     pub start: &'static [(u16, u16)],
     /// Registers to write to stop it.
     pub stop: &'static [(u16, u16)],
@@ -179,7 +180,7 @@ pub static BAYER_VGA: StreamFormat = StreamFormat {
     bits: 8,
     payload: 1908,
     fps: 30,
-    start: &[(0x0c, 0), (0x0d, 1), (0x0e, 0x1e), (0x05, 1), (0x47, 0)],
+    start: &[(0x05, 0), (0x0c, 0), (0x0d, 1), (0x0e, 0x1e), (0x05, 1), (0x47, 0)],
     stop: &[(0x05, 0)],
 };
 
@@ -193,7 +194,7 @@ pub static BAYER_SXGA: StreamFormat = StreamFormat {
     bits: 8,
     payload: 1908,
     fps: 10,
-    start: &[(0x0c, 0), (0x0d, 2), (0x0e, 0x0f), (0x05, 1), (0x47, 0)],
+    start: &[(0x05, 0), (0x0c, 0), (0x0d, 2), (0x0e, 0x0f), (0x05, 1), (0x47, 0)],
     stop: &[(0x05, 0)],
 };
 

@@ -10,6 +10,7 @@ use crate::report::Reporter;
 use crate::status::{self, Board};
 use crate::stop::Stop;
 use crate::{memory, sensor};
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -33,7 +34,15 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
         scope.spawn(|| server.serve(&board, &orders, &done));
         scope.spawn(|| status::publish(&board, &args.device, &stop, &done));
         Notifier::from_environment().send("READY=1");
-        let daemon = Daemon { args, config: &config, board: &board, orders: &orders, stop: &stop, reporter };
+        let daemon = Daemon {
+            args,
+            config: &config,
+            board: &board,
+            orders: &orders,
+            stop: &stop,
+            reporter,
+            trouble: Cell::new(false),
+        };
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| daemon.run(bus)))
             .unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())));
         Notifier::from_environment().send("STOPPING=1");

@@ -60,8 +60,9 @@ const OTHER_STAGES: f64 = 60.0;
 pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
     let config = load(&args.settings)?;
     let mut bus = sensor::bus(args.simulate.as_ref())?;
-    let found = bus.list().unwrap_or_default();
-    let mut findings = vec![sensor_found(&found)];
+    let listed = bus.list();
+    let mut findings = vec![sensor_found(&listed)];
+    let found = listed.clone().unwrap_or_default();
     if let Some(kinect) = found.first() {
         findings.push(camera_settings(kinect, &config));
         findings.push(controller(kinect, Path::new("/sys/bus/usb/devices")));
@@ -91,13 +92,21 @@ pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
         }
     }
     if found.is_empty() {
-        return Err(sensor::failure(UsbError::NoDevice));
+        return Err(sensor::failure(listed.err().unwrap_or(UsbError::NoDevice)));
     }
     let failed: Vec<_> = findings.iter().filter(|f| f.verdict == Verdict::Failed).map(|f| f.what).collect();
     if failed.is_empty() { Ok(()) } else { Err(Failure::Internal(format!("not ready: {}", failed.join(", ")))) }
 }
 
-fn sensor_found(found: &[Found]) -> Finding {
+fn sensor_found(listed: &Result<Vec<Found>, UsbError>) -> Finding {
+    let found = match listed {
+        Ok(found) => found.as_slice(),
+        Err(e) => {
+            let text = e.to_string();
+            let (detail, remedy) = text.rsplit_once("; ").unwrap_or((&text, ""));
+            return finding("kinect", Verdict::Failed, detail, remedy);
+        }
+    };
     let remedy = "plug in a Kinect V1 and its power supply; without its 12 V only the motor shows";
     let Some(k) = found.first() else { return finding("kinect", Verdict::Failed, "none is plugged in", remedy) };
     let name = format!("{} {} on bus {}", k.model.name(), k.serial, k.bus);
@@ -295,8 +304,10 @@ mod tests {
 
     #[test]
     fn permissions_and_defaults_are_told_with_a_remedy() {
-        assert_eq!(sensor_found(&[]).verdict, Verdict::Failed);
-        let locked = sensor_found(&[Found { accessible: false, ..kinect() }]);
+        assert_eq!(sensor_found(&Ok(Vec::new())).verdict, Verdict::Failed);
+        let unpowered = sensor_found(&Err(UsbError::NoPower));
+        assert!(unpowered.verdict == Verdict::Failed && unpowered.remedy == "plug it in", "{unpowered:?}");
+        let locked = sensor_found(&Ok(vec![Found { accessible: false, ..kinect() }]));
         assert!(locked.verdict == Verdict::Failed && locked.remedy.contains("rules"));
         let defaults = camera_settings(&kinect(), &Config::default());
         assert!(defaults.verdict == Verdict::Warning && defaults.detail.contains("fx 525"), "{defaults:?}");

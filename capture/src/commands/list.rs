@@ -5,16 +5,12 @@ use crate::cli;
 use crate::failure::Failure;
 use crate::sensor;
 use crate::transport::UsbError;
-use crate::usb::UsbBus;
 use serde_json::json;
 
 /// Runs the command.
 pub fn run(args: &cli::List, as_json: bool) -> Result<(), Failure> {
     let found = sensor::bus(args.simulate.as_ref())?.list().map_err(sensor::failure)?;
     if found.is_empty() {
-        if args.simulate.is_none() && UsbBus::default().has_v2() {
-            return Err(Failure::Input("this is a Kinect V2, which is not supported; plug in a Kinect V1".into()));
-        }
         return Err(sensor::failure(UsbError::NoDevice));
     }
     if as_json {

@@ -9,6 +9,8 @@ mod frames;
 mod import;
 mod inspect;
 mod list;
+#[cfg(feature = "openni")]
+mod openni;
 mod record;
 pub mod render;
 mod replay;

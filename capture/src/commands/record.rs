@@ -26,8 +26,12 @@ const OPEN_END_S: f64 = 60.0;
 
 /// Runs the command.
 pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(), Failure> {
-    let config = load(&args.settings)?;
     check_parent(&args.output)?;
+    #[cfg(feature = "openni")]
+    if let Some(address) = &args.openni {
+        return super::openni::run(address, args, as_json, reporter);
+    }
+    let config = load(&args.settings)?;
     let mut bus = sensor::bus(args.simulate.as_ref())?;
     let kinect = Kinect::open(bus.as_mut(), &config.kinect.serial, &config.kinect).map_err(sensor::failure)?;
     let folder = args.output.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -118,10 +122,11 @@ impl Session {
                 tracing::warn!("no {stream} frames come; plug the Kinect into a USB 2 port of its own");
                 told = Some(stream);
             }
-            let (mut packets, mut events) = (Vec::new(), Vec::new());
+            let (mut packets, mut events, mut host_ns) = (Vec::new(), Vec::new(), 0);
             let raw = self.raw;
             let polled = self.live.poll(
                 &mut |p, data| {
+                    host_ns = p.host_ns;
                     if raw {
                         let packet = UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() };
                         packets.push(Event::Packet(packet));
@@ -137,9 +142,15 @@ impl Session {
                 }
             }
             if raw {
-                events.retain(|e| matches!(e, Event::Accelerometer(_)));
-                packets.append(&mut events);
-                events = packets;
+                // Before the packets, so that where up is stands before the first frame; on the packets' clock.
+                events.retain_mut(|e| match e {
+                    Event::Accelerometer(a) => {
+                        a.timestamp_ns = host_ns;
+                        true
+                    }
+                    _ => false,
+                });
+                events.append(&mut packets);
             }
             let taken = events.is_empty() || out(events);
             let seconds = self.first.map_or(0.0, |f| (self.newest - f) as f64 * 1e-9);

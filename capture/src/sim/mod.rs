@@ -39,6 +39,8 @@ pub struct SimLog {
     pub led: u32,
     /// Sessions.
     pub opens: u32,
+    /// Readings of the RGB sensor's registers.
+    pub exposures: u32,
     /// Registers written, in order.
     pub writes: Vec<(u16, u16)>,
     /// True once everything there was to see has been sent.
@@ -179,18 +181,21 @@ impl Bus for SimBus {
         if !self.shared.is_plugged() {
             return Err(UsbError::NoDevice);
         }
-        self.shared.counts(|log| {
+        let session = {
+            let mut log = lock(&self.shared.log);
             log.opens += 1;
             log.over = false;
-        });
+            log.opens
+        };
+        let plan = self.plan.of_session(session);
         lock(&self.shared.registers).clear();
         let mut replies = VecDeque::new();
-        for tag in 0..self.plan.stale {
+        for tag in 0..plan.stale {
             let old = protocol::message(protocol::MAGIC_IN, protocol::WRITE_REGISTER, tag as u16, &[0]);
             replies.push_back(Reply { not_ready: 0, bytes: old });
         }
         Ok(Box::new(SimKinect {
-            plan: Arc::clone(&self.plan),
+            plan: Arc::new(plan),
             shared: Arc::clone(&self.shared),
             replies,
             audio: VecDeque::new(),
@@ -268,7 +273,10 @@ impl SimKinect {
                 protocol::CONST_SHIFT => Some(vec![0, PLANE.const_shift]),
                 _ => None,
             },
-            (protocol::CMOS, &[1, register, _]) if register < 0x8000 => Some(vec![1, register, 300]),
+            (protocol::CMOS, &[1, register, _]) if register < 0x8000 => {
+                lock(&self.shared.log).exposures += 1;
+                Some(vec![1, register, 300])
+            }
             _ => None,
         }
     }

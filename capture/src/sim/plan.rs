@@ -75,6 +75,8 @@ pub struct SimPlan {
     pub unplugs: u32,
     /// After this time it is plugged in again.
     pub replug_ms: Option<u64>,
+    /// All of that happens in the first so many sessions only; 0 = in every one.
+    pub sick_sessions: u32,
 }
 
 impl Default for SimPlan {
@@ -109,6 +111,7 @@ impl Default for SimPlan {
             unplug_at_frame: None,
             unplugs: 1,
             replug_ms: None,
+            sick_sessions: 0,
         }
     }
 }
@@ -171,9 +174,29 @@ impl SimPlan {
             "unplug_at_frame" => self.unplug_at_frame = Some(value.parse().ok()?),
             "unplugs" => self.unplugs = value.parse().ok()?,
             "replug_ms" => self.replug_ms = Some(value.parse().ok()?),
+            "sick_sessions" => self.sick_sessions = value.parse().ok()?,
             _ => return None,
         }
         Some(())
+    }
+
+    /// The plan of session number `session`, counted from 1.
+    #[must_use]
+    pub fn of_session(&self, session: u32) -> Self {
+        if self.sick_sessions == 0 || session <= self.sick_sessions {
+            return self.clone();
+        }
+        Self {
+            scenery: self.scenery.clone(),
+            model: self.model,
+            seed: self.seed,
+            fast: self.fast,
+            hasty: self.hasty,
+            frames: self.frames,
+            hold: self.hold,
+            clock_start: self.clock_start,
+            ..Self::default()
+        }
     }
 
     /// Time after which it is plugged in again.

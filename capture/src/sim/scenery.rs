@@ -30,6 +30,8 @@ pub struct Playback {
     path: PathBuf,
     reader: Option<RecordingReader>,
     encoder: DepthDecoder,
+    /// Millimetres a unit of its depth.
+    unit_mm: f64,
     first_ns: Option<i64>,
     depth: Option<(u64, Bytes)>,
     color: Option<(u64, Bytes)>,
@@ -54,7 +56,7 @@ impl Player {
             Scenery::Pattern => Ok(Self::Pattern((0..PATTERNS).map(|k| pattern(k, depth, color)).collect())),
             Scenery::Recording(path) => {
                 let reader = RecordingReader::open(path).map_err(|e| e.to_string())?;
-                let sensor = reader.sensor();
+                let sensor = reader.sensor().clone();
                 for i in [sensor.depth.intrinsics, sensor.color.intrinsics] {
                     if (i.width, i.height) != (BAYER_VGA.width, BAYER_VGA.height) {
                         return Err(format!("{}: a simulated Kinect plays 640x480 only", path.display()));
@@ -64,6 +66,7 @@ impl Player {
                     path: path.clone(),
                     reader: Some(reader),
                     encoder,
+                    unit_mm: sensor.depth_unit_m * 1e3,
                     first_ns: None,
                     depth: None,
                     color: None,
@@ -144,7 +147,10 @@ impl Playback {
         let first = *self.first_ns.get_or_insert(time);
         let at = u64::try_from((time.saturating_sub(first).saturating_add(PERIOD_NS / 2)) / PERIOD_NS).unwrap_or(0);
         match event {
-            Event::Depth(d) if is_depth => self.depth = Some((at, self.encoder.encode(&d.depth).into())),
+            Event::Depth(d) if is_depth => {
+                let mm: Vec<u16> = d.depth.iter().map(|&v| (f64::from(v) * self.unit_mm).round() as u16).collect();
+                self.depth = Some((at, self.encoder.encode(&mm).into()));
+            }
             Event::Color(c) => {
                 if let Some(mosaic) = mosaic(c) {
                     self.color = Some((at, mosaic));
