@@ -30,7 +30,7 @@ const MAX_PIXELS: usize = 4096 * 4096;
 
 /// What went wrong, with what to do about it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("OpenNI2: {0}")]
+#[error("OpenNI2: {0}; plug the sensor in, or give an .oni file")]
 pub struct OpenNiError(String);
 
 static IN_USE: AtomicBool = AtomicBool::new(false);

@@ -302,7 +302,9 @@ fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, sour
 fn usable(captured: &Captured, source: &Path) -> Result<(), Failure> {
     let shown = source.display();
     let (pairs, tracked) = (captured.stats.pairs, captured.trajectory.len());
-    let problem = if pairs == 0 {
+    let problem = if captured.stats.color_frames == 0 {
+        "it holds no colour, and a scan needs some; give a source with depth and colour".into()
+    } else if pairs == 0 {
         "no colour frame has a depth frame near in time; check the time stamps, or raise capture.max_pair_gap_ms".into()
     } else if tracked == 0 || (pairs > 1 && tracked < 2) {
         format!(
@@ -379,6 +381,13 @@ mod tests {
         for RawPair { color, depth, .. } in waiting {
             assert!(color.timestamp_ns > last && (color.timestamp_ns - depth.timestamp_ns).abs() < 1_000_000);
             (taken, last) = (taken + 1, color.timestamp_ns);
+            // For a minute much slower than the sensor.
+            if taken == 2000 {
+                let until = bus.log().depth.frames + 1800;
+                while bus.log().depth.frames < until {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
             // Now and then slower than the sensor.
             if taken % 64 == 0 {
                 std::thread::sleep(Duration::from_millis(4));
@@ -393,6 +402,7 @@ mod tests {
         println!("{taken} pairs taken; {stats:?}; {drops:?}; {grown} bytes grown; {log:?}");
         assert_eq!((log.depth.frames, log.color.frames, log.complaints.len()), (FRAMES, FRAMES, 0));
         assert_eq!(stats.pairs, taken + stats.dropped_pairs);
+        assert!(stats.dropped_pairs > 1500, "a minute's pairs give way");
         assert_eq!(stats.depth_frames, stats.pairs + stats.unpaired_depth);
         assert_eq!(stats.color_frames, stats.pairs + stats.unpaired_color);
         // Both streams together; what is not given out is lost, and counted.

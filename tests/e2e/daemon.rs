@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, lumiscan, ok, run, text};
+use common::{arg, child_of, json, lumiscan, ok, run, text};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -297,6 +297,88 @@ fn an_estimator_over_its_limit_ends_alone() {
     let m = manifest(&device, &scans(&device)[0]);
     assert_eq!(m["estimator"]["outcome"], "failed", "{m}");
     d.scan(0.5);
+}
+
+/// The estimator is killed, then the daemon ended while it estimates: both scans are published, the second at the next
+/// start.
+#[test]
+#[cfg(target_os = "linux")]
+fn publishing_survives_signals() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let mut d = Daemon::start(&device, &format!("{table},fast"), &[]);
+    let estimating = |d: &mut Daemon| {
+        d.scan(1.0);
+        assert!(d.order("stop"));
+        d.wait_for("estimating");
+        let began = Instant::now();
+        loop {
+            if let Some(child) = child_of(d.child.id()) {
+                return child;
+            }
+            assert!(began.elapsed() < PATIENCE, "{}", d.log());
+        }
+    };
+    let child = estimating(&mut d);
+    assert!(Command::new("kill").args(["-KILL", &child.to_string()]).status().unwrap().success());
+    let s = d.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
+    assert!(s["last_error"].as_str().unwrap().contains("estimator"), "{s}");
+    assert_eq!(manifest(&device, &scans(&device)[0])["estimator"]["outcome"], "failed");
+    estimating(&mut d);
+    d.signal("-TERM");
+    assert_eq!(d.ended(), Some(0));
+    assert_eq!((scans(&device).len(), unfinished(&device).len()), (1, 1));
+    let mut d = Daemon::start(&device, "pattern,fast", &["--no-estimate", "--scans", "1"]);
+    assert_eq!(d.ended(), Some(0));
+    assert_eq!((scans(&device).len(), unfinished(&device).len()), (2, 0));
+}
+
+/// Whatever a session suffers, the daemon lives, its counters say so, and the next scan is a whole one.
+#[test]
+fn the_scan_after_a_bad_one_is_good() {
+    let table = recording();
+    for (faults, counter) in [
+        ("loss=0.5,burst=0.001", "missing_packets"),
+        ("garbage=0.2,truncate=0.2,reorder=0.1,bad_status=0.1", "flagged_packets"),
+        ("stall_every=8,stall_frames=150", "restarts"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let device = dir.path().join("device");
+        let mut d = Daemon::start(&device, &format!("{table},fast,sick_sessions=1,{faults}"), &["--no-estimate"]);
+        d.begin();
+        d.wait(faults, |s| s["drops"][counter].as_u64().unwrap() > 0 && s["scan"]["seconds"].as_f64() > Some(0.5));
+        d.order("stop");
+        let before = d.wait_for("ready")["finished_scans"].as_u64().unwrap();
+        d.scan(1.0);
+        assert!(d.order("stop"));
+        let s = d.wait(faults, |s| s["finished_scans"].as_u64() == Some(before + 1) && s["state"] == "ready");
+        assert!(s["drops"][counter] == 0 && s["drops"]["incomplete_frames"] == 0, "{s}");
+        let last = scans(&device).pop().unwrap();
+        let stats = &manifest(&device, &last)["capture"]["stats"];
+        assert!(stats["tracked_pairs"].as_u64().unwrap() > 10 && stats["lost_pairs"] == 0, "{stats}");
+        d.signal("-TERM");
+        assert_eq!(d.ended(), Some(0));
+    }
+}
+
+/// Colour of 1280×1024 becomes keyframes of that size.
+#[test]
+fn keyframes_may_be_large() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = recording();
+    let device = dir.path().join("device");
+    let more = ["--no-estimate", "--set", "kinect.color_sxga=true"];
+    let mut d = Daemon::start(&device, &format!("{table},fast"), &more);
+    d.scan(2.0);
+    assert!(d.order("stop"));
+    d.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
+    let scan = &scans(&device)[0];
+    let stats = &manifest(&device, scan)["capture"]["stats"];
+    assert!(stats["tracked_pairs"].as_u64().unwrap() >= 8 && stats["lost_pairs"] == 0, "{stats}");
+    let seen = json(&["--json", "inspect", &arg(device.join("scans").join(scan).join("scan.lscan"))]);
+    let size = &seen["sensor"]["color"]["intrinsics"];
+    assert!(size["width"] == 1280 && size["height"] == 1024 && seen["keyframes"].as_u64().unwrap() > 0, "{seen}");
 }
 
 /// Fusion is slower than the sensor: pairs give way and are counted, nothing else is lost.

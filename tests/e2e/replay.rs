@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, json, lumiscan, ok, scans, text, tum_folder};
+use common::{arg, child_of, json, lumiscan, ok, scans, text, tum_folder};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -184,16 +184,6 @@ fn signals_leave_nothing_behind() {
     child.wait().unwrap();
     let folder = replay(&source, &device, &["--no-estimate"]);
     assert_eq!(scans(&device), [folder.file_name().unwrap().to_str().unwrap()]);
-}
-
-/// The child process of `parent`, if it has one.
-#[cfg(target_os = "linux")]
-fn child_of(parent: u32) -> Option<u32> {
-    let tasks = std::fs::read_dir(format!("/proc/{parent}/task")).ok()?;
-    tasks.flatten().find_map(|task| {
-        let children = std::fs::read_to_string(task.path().join("children")).ok()?;
-        children.split_whitespace().next()?.parse().ok()
-    })
 }
 
 #[test]

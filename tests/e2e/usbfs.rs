@@ -80,10 +80,17 @@ impl Machine {
         // Root hub, hub, camera (two isochronous endpoints of 2 × 960 bytes), motor.
         let stream = |endpoint| [7, 5, endpoint, 0x01, 0xc0, 0x0b, 1];
         let endpoints = [stream(0x81), stream(0x82)].concat();
-        machine.plug("usb1", 1, &device(0x1d6b, 0x0002, 0x0510, 9, 0), &configuration(9, &[]));
-        machine.plug("1-1", 2, &device(0x0409, 0x005a, 0x0100, 9, 0), &configuration(9, &[]));
-        machine.plug("1-1.1", 3, &device(0x045e, 0x02ae, 0x010b, 0, 3), &configuration(0xff, &endpoints));
-        machine.plug("1-1.2", 4, &device(0x045e, 0x02b0, 0x0105, 0, 0), &configuration(0xff, &[]));
+        machine.plug("usb1", 1, &device(0x1d6b, 0x0002, 0x0510, 9, 0), &configuration(9, &[], &[]));
+        machine.plug("1-1", 2, &device(0x0409, 0x005a, 0x0100, 9, 0), &configuration(9, &[], &[]));
+        if faults.contains("k4w") {
+            // Streams on an alternate setting; the audio part waits for firmware.
+            let streams = [&[9, 4, 0, 1, 2, 0xff, 0xff, 0xff, 0][..], &endpoints].concat();
+            machine.plug("1-1.1", 3, &device(0x045e, 0x02bf, 0x010a, 0, 3), &configuration(0xff, &[], &streams));
+            machine.plug("1-1.2", 4, &device(0x045e, 0x02be, 0x0100, 0, 0), &configuration(0xff, &[], &[]));
+        } else {
+            machine.plug("1-1.1", 3, &device(0x045e, 0x02ae, 0x010b, 0, 3), &configuration(0xff, &endpoints, &[]));
+            machine.plug("1-1.2", 4, &device(0x045e, 0x02b0, 0x0105, 0, 0), &configuration(0xff, &[], &[]));
+        }
         machine
     }
 
@@ -142,10 +149,11 @@ fn device(vendor: u16, product: u16, release: u16, class: u8, serial: u8) -> [u8
     [18, 1, 0x00, 0x02, class, 0, 0, 64, v0, v1, p0, p1, r0, r1, 2, 1, serial, 1]
 }
 
-fn configuration(class: u8, endpoints: &[u8]) -> Vec<u8> {
-    let length = 18 + endpoints.len() as u8;
+/// One interface with these endpoints, and further settings of it.
+fn configuration(class: u8, endpoints: &[u8], settings: &[u8]) -> Vec<u8> {
+    let length = (18 + endpoints.len() + settings.len()) as u8;
     let interface = [9, 4, 0, 0, endpoints.len() as u8 / 7, class, class, class, 0];
-    [&[9, 2, length, 0, 1, 1, 0, 0xc0, 8][..], &interface, endpoints].concat()
+    [&[9, 2, length, 0, 1, 1, 0, 0xc0, 8][..], &interface, endpoints, settings].concat()
 }
 
 /// A session as it should be: found by its descriptors and its string, the kernel's driver detached and given back,
@@ -200,6 +208,37 @@ fn losses_are_counted_and_slow_replies_waited_for() {
         assert!(c["ring_dropped"] != 0 || (0..=10).contains(&unseen), "{stream}: {} {c}", lost(name));
         assert!(n(stream, "incomplete_frames") > 20 && n(stream, "resyncs") == 0, "{c}");
     }
+}
+
+/// A Kinect for Windows streams on another setting of its interface, and its audio part, which has no firmware, is left
+/// alone.
+#[test]
+fn another_model_is_driven_by_its_descriptors() {
+    let machine = Machine::new("k4w");
+    let path = arg(machine.root.path().join("a.lrec"));
+    let c = machine.json(&["--json", "record", &path, "--seconds", "1"]);
+    assert!(c["counters"]["depth"]["frames"].as_u64().unwrap() >= 15, "{c}");
+    let log = machine.log();
+    let steps: Vec<_> = log.iter().filter(|l| !l.starts_with("write ")).collect();
+    assert_eq!(steps, ["detached", "claimed", "alternate 1", "released", "attached"]);
+}
+
+/// `check` sees the machine as it is: sensor, controller, and what is plugged in beside.
+#[test]
+fn check_looks_at_the_bus() {
+    let machine = Machine::new("");
+    let findings = |what: &str| -> Value {
+        let folder = arg(machine.root.path());
+        let all: Value =
+            serde_json::from_slice(&machine.run(&["--json", "check", "--device", &folder]).stdout).unwrap();
+        all.as_array().unwrap().iter().find(|f| f["what"] == what).unwrap().clone()
+    };
+    assert_eq!(findings("kinect")["verdict"], "ok");
+    assert_eq!(findings("controller")["verdict"], "ok");
+    machine.plug("1-2", 9, &device(0x0951, 0x1666, 0x0100, 0, 0), &configuration(8, &[], &[]));
+    let shared = findings("controller");
+    assert!(shared["verdict"] == "warning" && shared["detail"].as_str().unwrap().contains("0951"), "{shared}");
+    assert!(shared["remedy"].as_str().unwrap().contains("of its own"), "{shared}");
 }
 
 #[test]

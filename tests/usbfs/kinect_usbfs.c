@@ -9,7 +9,7 @@
  * $KINECT_FAULTS: words `not_ready=N` (replies of 0 and 512 bytes by turns before each reply), `stale=N` (replies of an
  * earlier session that are still queued), `loss=N` (every Nth packet does not come: -EXDEV), `unplug=N` (the plug is pulled
  * after N packets), `replug=MS`, `deaf` (commands are never answered: the transfer hangs until it is cancelled), `full` (no
- * bandwidth for the second endpoint), `busy` (another program has claimed it).
+ * bandwidth for the second endpoint), `busy` (another program has claimed it), `k4w` (streams on alternate setting 1 only).
  *
  * Time goes on in microframes of 125 us, but never without a transfer to fill, so that no packet is lost by a busy machine.
  */
@@ -277,6 +277,7 @@ static int submit(struct part *p, struct usbdevfs_urb *user) {
     int iso = user->type == USBDEVFS_URB_TYPE_ISO;
     if (queue && (!iso || !p->claimed || p != &parts[CAMERA])) return note("complaint: submitted unclaimed\n"), -EINVAL;
     if (iso && queue == 2 && fault("full")) return -ENOSPC;
+    if (iso && fault("k4w") && p->alternate != 1) return note("complaint: submitted on setting %d\n", p->alternate), -ENOENT;
     struct urb *u = malloc(sizeof *u);
     u->user = user;
     if (iso) return put(&p->waiting[queue], u), 0;

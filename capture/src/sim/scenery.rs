@@ -32,6 +32,7 @@ pub struct Playback {
     encoder: DepthDecoder,
     /// Millimetres a unit of its depth.
     unit_mm: f64,
+    color_format: &'static StreamFormat,
     first_ns: Option<i64>,
     depth: Option<(u64, Bytes)>,
     color: Option<(u64, Bytes)>,
@@ -50,7 +51,7 @@ impl Player {
         plan: &SimPlan,
         encoder: DepthDecoder,
         depth: &StreamFormat,
-        color: &StreamFormat,
+        color: &'static StreamFormat,
     ) -> Result<Self, String> {
         match &plan.scenery {
             Scenery::Pattern => Ok(Self::Pattern((0..PATTERNS).map(|k| pattern(k, depth, color)).collect())),
@@ -67,6 +68,7 @@ impl Player {
                     reader: Some(reader),
                     encoder,
                     unit_mm: sensor.depth_unit_m * 1e3,
+                    color_format: color,
                     first_ns: None,
                     depth: None,
                     color: None,
@@ -152,7 +154,7 @@ impl Playback {
                 self.depth = Some((at, self.encoder.encode(&mm).into()));
             }
             Event::Color(c) => {
-                if let Some(mosaic) = mosaic(c) {
+                if let Some(mosaic) = mosaic(c, self.color_format) {
                     self.color = Some((at, mosaic));
                 }
             }
@@ -163,17 +165,25 @@ impl Playback {
 }
 
 /// As the sensor behind the Bayer filter sees it.
-fn mosaic(color: ColorFrame) -> Option<Bytes> {
-    if color.encoding == ColorEncoding::BayerGrbg {
+fn mosaic(color: ColorFrame, format: &StreamFormat) -> Option<Bytes> {
+    if color.encoding == ColorEncoding::BayerGrbg && *format == BAYER_VGA {
         return (color.bytes.len() == BAYER_VGA.frame_bytes()).then(|| color.bytes.into());
     }
     let rgb = color.decode().ok()?;
-    let width = rgb.width as usize;
-    // GRBG.
-    let channel = |i: usize| match (i / width % 2, i % width % 2) {
-        (0, 1) => 0,
-        (1, 0) => 2,
-        _ => 1,
+    let (width, height) = (format.width as usize, format.height as usize);
+    // Larger pictures show the same columns; their rows are centred on the same axis.
+    let scale = width / rgb.width as usize;
+    let margin = (height - scale * rgb.height as usize) / 2;
+    let value = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        // GRBG.
+        let channel = match (y % 2, x % 2) {
+            (0, 1) => 0,
+            (1, 0) => 2,
+            _ => 1,
+        };
+        let row = (y.saturating_sub(margin) / scale).min(rgb.height as usize - 1);
+        rgb.data[3 * (row * rgb.width as usize + x / scale) + channel]
     };
-    Some((0..rgb.data.len() / 3).map(|i| rgb.data[3 * i + channel(i)]).collect())
+    Some((0..width * height).map(value).collect())
 }

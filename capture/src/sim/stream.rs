@@ -66,7 +66,9 @@ impl Streamer {
             }
             let (depth, color) = self.player.frame(sent);
             let depth = depth.filter(|_| depth_on && !self.plan.no_depth);
-            let color = color.filter(|_| color_on && !self.plan.no_color);
+            // Colour of the larger kind comes with every third frame of depth.
+            let every = (30 / self.color.fps).max(1);
+            let color = color.filter(|_| color_on && !self.plan.no_color && slot % u64::from(every) == 0);
             let ticks = self.plan.clock_start.wrapping_add((slot as u32).wrapping_mul(PERIOD_TICKS));
             if !self.send(&mut wires, [depth.as_deref(), color.as_deref()], ticks, due) {
                 return;

@@ -160,6 +160,16 @@ pub fn write_png(path: &Path, color: png::ColorType, bits: png::BitDepth, data: 
     writer.write_image_data(data).expect("a picture");
 }
 
+/// The child process of `parent`, if it has one.
+#[cfg(target_os = "linux")]
+pub fn child_of(parent: u32) -> Option<u32> {
+    let tasks = std::fs::read_dir(format!("/proc/{parent}/task")).ok()?;
+    tasks.flatten().find_map(|task| {
+        let children = std::fs::read_to_string(task.path().join("children")).ok()?;
+        children.split_whitespace().next()?.parse().ok()
+    })
+}
+
 /// Names of everything below `<device>/scans`, hidden ones too.
 pub fn scans(device: &Path) -> Vec<String> {
     let Ok(entries) = std::fs::read_dir(device.join("scans")) else { return Vec::new() };
