@@ -30,7 +30,7 @@ pub struct Published {
 pub fn publish(
     staging: Staging,
     name: String,
-    capture: CaptureEntry,
+    mut capture: CaptureEntry,
     effort: Option<&Effort>,
     stop: &Stop,
     reporter: &Reporter,
@@ -41,6 +41,8 @@ pub fn publish(
     };
     stop.check()?;
     let published = device::utc(SystemTime::now());
+    // Reading the result back counts too.
+    capture.memory_peak_bytes = memory::peak_bytes();
     let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
     device::write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;

@@ -19,6 +19,14 @@ section! {
         min_depth_m: f64 = 0.35, [0.05..=2.0], "m", "";
         /// Farthest depth used.
         max_depth_m: f64 = 4.0, [0.5..=10.0], "m", "";
+        /// Depth correction of this very sensor, z ← z · (1 + linear + linear_radial · r²) + z² · (square + square_radial · r²), r = tangent of the angle to the optical axis: share of the depth on the axis …
+        depth_linear: f64 = 0.0, [-0.2..=0.2], "", "";
+        /// … and how it grows with r².
+        depth_linear_radial: f64 = 0.0, [-0.5..=0.5], "", "";
+        /// Share of the squared depth on the axis (an error of disparity) …
+        depth_square: f64 = 0.0, [-0.1..=0.1], "1/m", "";
+        /// … and how it grows with r².
+        depth_square_radial: f64 = 0.0, [-0.5..=0.5], "1/m", "";
         /// Steepest depth slope accepted, as the tangent of the angle between view ray and normal; steeper pixels are grazing or flying.
         max_slope: f64 = 5.0, [1.0..=100.0], "", "";
         /// Largest weight a voxel collects, in frames seen from 1 m.
@@ -43,8 +51,18 @@ section! {
         max_speed_m_s: f64 = 4.5, [0.1..=20.0], "m/s", "";
         /// Fastest turn that is believed.
         max_turn_rad_s: f64 = 7.5, [0.1..=30.0], "rad/s", "";
+        /// Longest way between two frames that is believed without looking for the camera anew, however long the time between them.
+        max_step_m: f64 = 0.25, [0.01..=2.0], "m", "";
+        /// Largest turn between two frames that is believed without looking for the camera anew.
+        max_step_rad: f64 = 0.33, [0.01..=1.5], "rad", "";
+        /// How fast the delay of depth against colour is learnt beyond what the stamps say. 0 = the stamps are believed.
+        latency_gain: f64 = 0.2, [0.0..=1.0], "", "";
+        /// Largest delay that is learnt.
+        max_latency_ms: f64 = 30.0, [0.0..=100.0], "ms", "";
         /// Least share of the depth samples that must agree with the surface or the last frame for tracking to hold.
         min_fit: f64 = 0.35, [0.01..=0.9], "", "";
+        /// Least correlation with the anchor's picture at which a lost camera counts as found.
+        min_likeness: f64 = 0.6, [0.0..=1.0], "", "";
         /// Mean grey value (of 255) under which a colour frame counts as black.
         black_below: f64 = 3.0, [0.0..=64.0], "", "";
         /// Distance from the anchor frame at which tracking changes to another anchor, as a share of the median depth.

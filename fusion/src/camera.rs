@@ -1,6 +1,7 @@
 //! The sensor's geometry as tracking and integration use it: undistorted pinholes and look-up maps.
 
 use crate::FusionError;
+use firmware_config::FusionConfig;
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use recordings::types::{CameraModel, Distortion, Pose, Sensor};
 
@@ -123,6 +124,33 @@ impl Undistort {
     }
 }
 
+/// What the depth camera misreads, per pixel, from the configuration's radial polynomial.
+#[derive(Debug, Clone)]
+pub enum DepthCorrection {
+    /// Nothing.
+    None,
+    /// Per pixel of the undistorted depth camera (a, b): z ← a z + b z².
+    Map(Vec<Vec2>),
+}
+
+impl DepthCorrection {
+    fn new(camera: &Pinhole, config: &FusionConfig) -> Self {
+        let (linear, square) = (
+            [config.depth_linear as f32, config.depth_linear_radial as f32],
+            [config.depth_square as f32, config.depth_square_radial as f32],
+        );
+        if [linear, square] == [[0.0; 2]; 2] {
+            return Self::None;
+        }
+        let pixel = |i: usize| {
+            let ray = camera.ray((i % camera.width) as f32, (i / camera.width) as f32);
+            let r2 = ray.x * ray.x + ray.y * ray.y;
+            Vec2::new(1.0 + linear[0] + linear[1] * r2, square[0] + square[1] * r2)
+        };
+        Self::Map((0..camera.width * camera.height).map(pixel).collect())
+    }
+}
+
 /// Brown–Conrady: normalised undistorted to normalised distorted coordinates.
 fn distort(k: &Distortion, x: f64, y: f64) -> (f64, f64) {
     let r2 = x * x + y * y;
@@ -149,6 +177,8 @@ pub struct Rig {
     pub depth: Pinhole,
     /// Look-up of the depth image, nearest pixel.
     pub depth_undistort: Undistort,
+    /// What is added to the depths read.
+    pub depth_correction: DepthCorrection,
     /// Depth pixels per sample of the tracking grid, along each side.
     pub grid_step: usize,
     /// The tracking grid's camera (≤ 160 samples wide).
@@ -164,7 +194,7 @@ pub struct Rig {
 
 impl Rig {
     /// Checks a sensor's description and precomputes its maps.
-    pub fn new(sensor: &Sensor) -> Result<Self, FusionError> {
+    pub fn new(sensor: &Sensor, config: &FusionConfig) -> Result<Self, FusionError> {
         check(&sensor.color, "colour")?;
         check(&sensor.depth, "depth")?;
         if !(sensor.depth_unit_m.is_finite() && sensor.depth_unit_m > 1e-7 && sensor.depth_unit_m < 1.0) {
@@ -192,6 +222,7 @@ impl Rig {
             } else {
                 Undistort::new(&depth, &sensor.depth.distortion)
             },
+            depth_correction: DepthCorrection::new(&depth, config),
             grid_step,
             grid: depth.reduced(grid_step),
             color_from_depth,

@@ -6,6 +6,7 @@ mod extract;
 mod integrate;
 mod isa;
 mod keyframes;
+mod latency;
 mod pyramid;
 mod relocalise;
 mod rotate;
@@ -14,9 +15,10 @@ mod volume;
 
 use camera::Rig;
 use firmware_config::FusionConfig;
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use integrate::Integrator;
 use keyframes::Candidates;
+use latency::Latency;
 use nalgebra::Vector6;
 use pyramid::Frame;
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
@@ -84,7 +86,7 @@ const VELOCITY_FRAMES: usize = 4;
 /// Longest time between the images of a pair that is made up for by the motion, seconds.
 const MAX_STAMP_GAP_S: f64 = 0.1;
 /// Anchors tried per frame when lost.
-const RELOCALISATION_TRIES: usize = 3;
+const RELOCALISATION_TRIES: usize = 4;
 
 /// Fuses RGB-D frames into a surface.
 pub struct Fusion {
@@ -102,6 +104,9 @@ pub struct Fusion {
     last_blocks: usize,
     /// Twist of the camera (translation, rotation) per second, camera axes.
     velocity: Vector6<f64>,
+    latency: Latency,
+    /// Frames tracked one after another since the start or the last loss.
+    streak: usize,
     anchors: Anchors,
     anchor: usize,
     candidates: Candidates,
@@ -118,7 +123,7 @@ impl Fusion {
     /// # Errors
     /// The sensor's description makes no sense.
     pub fn new(sensor: &Sensor, config: &FusionConfig) -> Result<Self, FusionError> {
-        let rig = Rig::new(sensor)?;
+        let rig = Rig::new(sensor, config)?;
         Ok(Self {
             config: config.clone(),
             volume: Volume::new(config),
@@ -130,6 +135,8 @@ impl Fusion {
             last_stamp: 0,
             last_blocks: 0,
             velocity: Vector6::zeros(),
+            latency: Latency::default(),
+            streak: 0,
             anchors: Anchors::new(config.max_anchors as usize),
             anchor: 0,
             candidates: Candidates::new(config),
@@ -180,7 +187,7 @@ impl Fusion {
         });
         self.stats.blocks_refused += integrated.refused;
         self.last_blocks = integrated.blocks;
-        tracing::debug!(blocks = integrated.blocks, "integrated");
+        tracing::trace!(blocks = integrated.blocks, "integrated");
         let coarsened = self.make_room();
         // What the next frames are tracked against.
         stage("remember", || self.remember(&pose));
@@ -238,18 +245,23 @@ impl Fusion {
         self.frame.valid < MIN_VALID || self.frame.mean_grey < self.config.black_below as f32
     }
 
+    /// Twist per second over the last frames, camera axes; `None` unless they were tracked one after another.
+    fn recent_velocity(&self) -> Option<Vector6<f64>> {
+        let recent = &self.trajectory[self.trajectory.len().saturating_sub(self.streak.min(VELOCITY_FRAMES))..];
+        let ((t0, first), (t1, last)) = (recent.first()?, recent.last()?);
+        let span = seconds(*t0, *t1);
+        let known = span > 0.0 && span <= VELOCITY_FRAMES as f64 * MAX_PREDICTION_S;
+        known.then(|| track::log(&first.inverse().compose(last)) / span)
+    }
+
     /// How the camera moves from the depth image's instant to the colour image's, by the velocity of the last frames.
     fn motion_from_depth_to_color(&self, frame: &RgbdFrame) -> Pose {
         let depth = frame.depth.timestamp_ns.saturating_add(self.rig.depth_to_color_offset_ns);
-        let gap = seconds(depth, frame.color.timestamp_ns);
-        let recent = &self.trajectory[self.trajectory.len().saturating_sub(VELOCITY_FRAMES)..];
-        let (Some((t0, first)), Some((t1, last))) = (recent.first(), recent.last()) else { return Pose::IDENTITY };
-        let span = seconds(*t0, *t1);
-        let still = self.state != Some(Tracking::Tracked) || gap.abs() > MAX_STAMP_GAP_S;
-        if still || span <= 0.0 || span > VELOCITY_FRAMES as f64 * MAX_PREDICTION_S {
-            return Pose::IDENTITY;
+        let gap = seconds(depth, frame.color.timestamp_ns) + self.latency.seconds();
+        match self.recent_velocity() {
+            Some(velocity) if gap.abs() <= MAX_STAMP_GAP_S => track::exp(&(velocity * -gap)),
+            _ => Pose::IDENTITY,
         }
-        track::exp(&(track::log(&first.inverse().compose(last)) * (-gap / span)))
     }
 
     fn first_pose(&self) -> Pose {
@@ -271,7 +283,8 @@ impl Fusion {
 
         let turn = predicted.rotation.conjugate() * last.rotation;
         let mut starts = vec![predicted];
-        if let Some(camera_from_last) = rotate::align(&self.frame, &self.last, &self.rig, turn) {
+        if let Some(camera_from_last) = rotate::align(&self.frame, &self.last.grey[camera::LEVELS - 1], &self.rig, turn)
+        {
             starts.push(Pose::new(last.rotation * camera_from_last.conjugate(), predicted.translation));
         }
         let coarse = starts
@@ -287,10 +300,17 @@ impl Fusion {
         let pose = fine.world_from_camera;
         let moved = track::log(&last.inverse().compose(&pose));
         let dt = dt.max(1.0 / 60.0);
-        let possible = moved.fixed_rows::<3>(0).norm() <= self.config.max_speed_m_s * dt
-            && moved.fixed_rows::<3>(3).norm() <= self.config.max_turn_rad_s * dt;
-        tracing::debug!(?coarse, ?fine, possible, "tracked");
-        (possible && self.holds(&coarse, &fine)).then_some(pose)
+        let (way, turn) = (moved.fixed_rows::<3>(0).norm(), moved.fixed_rows::<3>(3).norm());
+        let possible = way <= (self.config.max_speed_m_s * dt).min(self.config.max_step_m)
+            && turn <= (self.config.max_turn_rad_s * dt).min(self.config.max_step_rad);
+        tracing::trace!(?coarse, ?fine, possible, latency_s = self.latency.seconds(), "tracked");
+        if !(possible && self.holds(&coarse, &fine)) {
+            return None;
+        }
+        if let Some(velocity) = self.recent_velocity() {
+            self.latency.learn(&fine.terms, &velocity, &self.config);
+        }
+        Some(pose)
     }
 
     /// True if enough of the frame agrees with the model, or, where the model is not known yet, with the last frame.
@@ -305,25 +325,35 @@ impl Fusion {
         let mut tracker = std::mem::take(&mut self.tracker);
         let mut tries = vec![self.anchor];
         tries.extend(self.anchors.alike(&self.frame, RELOCALISATION_TRIES));
-        let mut best: Option<(Alignment, usize)> = None;
+        let mut best: Option<(Alignment, f32, usize)> = None;
         let best_effort = effort::choose(&FusionConfig::default(), 0, 1.0);
-        for i in tries {
+        for (n, i) in tries.into_iter().enumerate() {
             let Some(anchor) = self.anchors.get(i) else { continue };
             let scene = self.scene(&anchor.reference);
-            let start = anchor.reference.world_from_camera;
-            let coarse = tracker.align(&scene, &start, &start, &effort::FIND);
+            let at = anchor.reference.world_from_camera;
+            let turned = rotate::align(&self.frame, &anchor.grey, &self.rig, DQuat::IDENTITY)
+                .map(|camera_from_anchor| Pose::new(at.rotation * camera_from_anchor.conjugate(), at.translation));
+            let coarse = [Some(at), turned, (n == 0).then_some(self.reference.world_from_camera)]
+                .into_iter()
+                .flatten()
+                .map(|start| tracker.align(&scene, &start, &start, &effort::FIND))
+                .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
+            let Some(coarse) = coarse else { continue };
             let start = coarse.world_from_camera;
             let fine = tracker.align(&scene, &start, &start, best_effort.fine);
-            tracing::debug!(i, ?coarse, ?fine, "relocalisation");
-            if best.as_ref().is_none_or(|(b, _)| fine.misfit() < b.misfit()) {
-                best = Some((fine, i));
+            let likeness = track::likeness(&scene, &fine.world_from_camera);
+            tracing::trace!(i, ?coarse, ?fine, likeness, "relocalisation");
+            if best.as_ref().is_none_or(|(b, l, _)| fine.fit + likeness > b.fit + l) {
+                best = Some((fine, likeness, i));
             }
         }
         self.tracker = tracker;
-        let (found, anchor) = best?;
-        // A wrong place must not be fused: more agreement is asked of it than of a tracked frame.
+        let (found, likeness, anchor) = best?;
+        // A wrong place must not be fused: more agreement is asked of it than of a tracked frame. The picture is compared
+        // by correlation, since its exposure and its blur may be others than the anchor's.
         let strict = (1.5 * self.config.min_fit as f32).min(0.9);
-        if found.fit < strict || found.fit < 0.7 * found.overlap || found.photo_seen < 0.3 || found.photo_error > 20.0 {
+        let alike = likeness >= self.config.min_likeness as f32;
+        if found.fit < strict || found.fit < 0.7 * found.overlap || found.photo_seen < 0.3 || !alike {
             return None;
         }
         self.anchor = anchor;
@@ -336,6 +366,7 @@ impl Fusion {
             self.stats.losses += 1;
             self.state = Some(Tracking::Lost);
             self.velocity = Vector6::zeros();
+            self.streak = 0;
         }
         FrameReport {
             tracking: Tracking::Lost,
@@ -348,6 +379,7 @@ impl Fusion {
 
     fn hold(&mut self, pose: &Pose, stamp: TimestampNs) {
         self.stats.tracked_pairs += 1;
+        self.streak += 1;
         let dt = seconds(self.last_stamp, stamp);
         self.velocity = match self.state {
             Some(Tracking::Tracked) if dt > 1e-3 => {

@@ -1,7 +1,7 @@
 //! A frame as tracking sees it: grey pyramid of the undistorted colour image, cleaned depth, and a grid of denoised
 //! points with normals.
 
-use crate::camera::{LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
+use crate::camera::{DepthCorrection, LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
 use crate::isa::{Hot, Isa, dispatch};
 use firmware_config::FusionConfig;
 use glam::{Vec2, Vec3};
@@ -217,6 +217,11 @@ impl Frame {
                     let at = (q.y + 0.5) as usize * width + (q.x + 0.5) as usize;
                     *z = if q.x < 0.0 { 0.0 } else { metres(raw[at]) };
                 }
+            }
+        }
+        if let DepthCorrection::Map(map) = &rig.depth_correction {
+            for (z, c) in self.raw_depth.iter_mut().zip(map) {
+                *z = (*z * (c.x + *z * c.y)).max(0.0);
             }
         }
         let (width, height) = (rig.depth.width, rig.depth.height);

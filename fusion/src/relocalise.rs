@@ -45,6 +45,8 @@ impl Thumbnail {
 pub struct Anchor {
     pub reference: Reference,
     pub thumbnail: Thumbnail,
+    /// Its coarsest grey level.
+    pub grey: Grey,
 }
 
 /// The stored frames, at most `capacity`.
@@ -67,7 +69,8 @@ impl Anchors {
 
     /// Stores an anchor (in the place of the oldest when there is no more room) and returns its number.
     pub fn add(&mut self, reference: Reference, frame: &Frame) -> usize {
-        let anchor = Anchor { reference, thumbnail: Thumbnail::new(&frame.grey[crate::camera::LEVELS - 1]) };
+        let grey = frame.grey[crate::camera::LEVELS - 1].clone();
+        let anchor = Anchor { reference, thumbnail: Thumbnail::new(&grey), grey };
         if self.list.len() < self.capacity {
             self.list.push(anchor);
             return self.list.len() - 1;

@@ -16,10 +16,11 @@ const MAX_SHIFT: f32 = 0.3;
 /// The result must lower the residual of the prediction to this share of it to be of interest.
 const WORTHWHILE: f32 = 0.95;
 
-/// `camera_from_last` by rotation alone if that explains the picture clearly better than the predicted `start`.
-pub fn align(frame: &Frame, last: &Frame, rig: &Rig, start: DQuat) -> Option<DQuat> {
+/// `camera_from_reference` by rotation alone, from another frame's coarsest grey level, if that explains the picture clearly
+/// better than the predicted `start`.
+pub fn align(frame: &Frame, reference: &Grey, rig: &Rig, start: DQuat) -> Option<DQuat> {
     let camera = &rig.grey[LEVELS - 1];
-    let (reference, current) = (&last.grey[LEVELS - 1], &frame.grey[LEVELS - 1]);
+    let current = &frame.grey[LEVELS - 1];
     let (refined, before, after) = refine(reference, current, camera, start)?;
     let shifted = shift(&tiny(reference), &tiny(current), &camera.reduced(TINY_STEP));
     let best = match shifted.and_then(|s| refine(reference, current, camera, s)) {

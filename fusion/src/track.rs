@@ -204,6 +204,33 @@ fn photometric(
     })
 }
 
+/// Correlation, −1 … 1, of what the frame shows at the reference's points with what they looked like, at the coarsest
+/// level; 0 where fewer than a third of them are seen.
+pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> f32 {
+    let t = Rigid::from(&world_from_camera.inverse().compose(&scene.reference.world_from_camera));
+    let level = LEVELS - 1;
+    let (camera, points) = (&scene.rig.grey[level], &scene.reference.photo[level]);
+    let seen: Vec<(f64, f64)> = points
+        .iter()
+        .filter_map(|point| {
+            let x = t.apply(point.p);
+            let (value, _) = (x.z > 0.1).then(|| scene.frame.grey[level].sample(camera.project(x))).flatten()?;
+            Some((f64::from(point.grey), f64::from(value)))
+        })
+        .collect();
+    if seen.is_empty() || seen.len() * 3 < points.len() {
+        return 0.0;
+    }
+    let n = seen.len() as f64;
+    let (ma, mb) = seen.iter().fold((0.0, 0.0), |m, (a, b)| (m.0 + a / n, m.1 + b / n));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in seen {
+        let (a, b) = (a - ma, b - mb);
+        (ab, aa, bb) = (ab + a * b, aa + a * a, bb + b * b);
+    }
+    (ab / (aa * bb).sqrt().max(1e-9)) as f32
+}
+
 /// A frame's point with the plane of the model it belongs to, world coordinates.
 #[derive(Debug, Clone, Copy)]
 struct Association {
@@ -326,6 +353,16 @@ pub struct Alignment {
     pub photo_seen: f32,
     /// Smallest eigenvalue of the information matrix over the largest.
     pub condition: f64,
+    /// What geometry and picture each say about the pose.
+    pub terms: Terms,
+}
+
+/// The normal equations H δ = b of the two terms at the pose found, δ in units of `scale`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Terms {
+    pub scale: Vector6<f64>,
+    pub geometric: (Matrix6<f64>, Vector6<f64>),
+    pub photometric: (Matrix6<f64>, Vector6<f64>),
 }
 
 impl Alignment {
@@ -389,6 +426,7 @@ impl Tracker {
             photo_error: 0.0,
             photo_seen: 0.0,
             condition: 0.0,
+            terms: Terms::default(),
         };
         let floor = config.photometric_sigma as f32;
         let mut sigma = 4.0 * floor;
@@ -415,6 +453,7 @@ impl Tracker {
                     out.photo_error = (photo.absolute / photo.count.max(1) as f64) as f32;
                     out.photo_seen = photo.count as f32 / points.len().max(1) as f32;
                     out.condition = solution.condition;
+                    out.terms = solution.terms;
                     sigma = (1.2533 * out.photo_error).clamp(floor, 8.0 * floor);
                     if solution.delta.norm() < 1e-5 {
                         break;
@@ -428,6 +467,8 @@ impl Tracker {
 }
 
 struct Solution {
+    /// The two terms at the new pose.
+    terms: Terms,
     delta: Vector6<f64>,
     gain: f32,
     offset: f32,
@@ -464,17 +505,21 @@ fn solve(geo: &System, photo: &System, offset: &Vector6<f64>, depth: f64, config
     let bb = SVector::<f64, 2>::new(photo.b[6], photo.b[7]) * weight;
     let inverse = hbb.try_inverse().unwrap_or_else(SMatrix::zeros);
     let gain = hpb * inverse;
-    h += Matrix6::from_fn(|a, c| weight * symmetric(photo, a, c) * scale[a] * scale[c]) - gain * hpb.transpose();
-    b += Vector6::from_fn(|a, _| weight * photo.b[a] * scale[a]) - gain * bb;
+    let h_photo =
+        Matrix6::from_fn(|a, c| weight * symmetric(photo, a, c) * scale[a] * scale[c]) - gain * hpb.transpose();
+    let b_photo = Vector6::from_fn(|a, _| weight * photo.b[a] * scale[a]) - gain * bb;
 
     let prior = Vector6::from_fn(|a, _| {
         let sigma = if a < 3 { config.prior_sigma_m } else { config.prior_sigma_rad * lever };
         1.0 / (sigma * sigma)
     });
-    b += prior.component_mul(&offset.component_div(&scale));
-    let step = (h + Matrix6::from_diagonal(&prior)).cholesky().map_or_else(Vector6::zeros, |c| c.solve(&b));
+    let pull = prior.component_mul(&offset.component_div(&scale));
+    let step = (h + h_photo + Matrix6::from_diagonal(&prior))
+        .cholesky()
+        .map_or_else(Vector6::zeros, |c| c.solve(&(b + b_photo + pull)));
     let brightness = inverse * (bb - hpb.transpose() * step);
     Solution {
+        terms: Terms { scale, geometric: (h, b - h * step), photometric: (h_photo, b_photo - h_photo * step) },
         delta: step.component_mul(&scale),
         gain: brightness[0] as f32,
         offset: brightness[1] as f32,

@@ -251,6 +251,128 @@ fn senseless_sensors_and_frames_are_refused() {
     assert!(matches!(fusion.push(&other), Err(FusionError::BadFrame(_))));
 }
 
+/// A thing that shows up for two frames gives no surface; with `min_weight` 0 it would.
+#[test]
+fn min_weight_drops_phantoms() {
+    let sensor = world::sensor(320, 240);
+    let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
+    let phantom = (DVec3::new(-0.05, -0.3, 0.4), 0.06);
+    let mut haunted = desk();
+    haunted.shapes.push(Shape::Ball(phantom.0, phantom.1));
+    let near_phantom = |min_weight: f64| {
+        let config = FusionConfig { min_weight, min_component_triangles: 0, ..small_config() };
+        let mut fusion = Fusion::new(&sensor, &config).unwrap();
+        let first = fusion.push(&desk().look(&sensor, &at, 0)).unwrap().world_from_camera.unwrap();
+        for i in 1..20 {
+            let world = if i >= 18 { &haunted } else { &desk() };
+            assert_eq!(fusion.push(&world.look(&sensor, &at, i)).unwrap().tracking, Tracking::Tracked);
+        }
+        let ours_from_truth = first.compose(&at.inverse());
+        let centre = ours_from_truth.transform(phantom.0);
+        let mesh = fusion.finish().mesh;
+        assert!(mesh.triangles.len() > 1000);
+        mesh.positions.iter().filter(|p| (p.as_dvec3() - centre).length() < phantom.1 + 0.02).count()
+    };
+    assert!(near_phantom(0.0) > 100, "the phantom is no surface even without the test");
+    assert_eq!(near_phantom(FusionConfig::default().min_weight), 0);
+}
+
+/// A sensor that reads too short, more so far away and outside: the polynomial of the configuration undoes it.
+#[test]
+fn a_known_depth_distortion_is_removed() {
+    let sensor = world::sensor(320, 240);
+    let wall = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
+    let at = look_at(DVec3::new(0.0, -0.4, 1.4), DVec3::ZERO);
+    let known = FusionConfig {
+        depth_linear: 0.01,
+        depth_linear_radial: 0.03,
+        depth_square: 0.004,
+        depth_square_radial: -0.01,
+        ..small_config()
+    };
+    let k = sensor.depth.intrinsics;
+    let distorted = |i: usize| {
+        let mut frame = wall.look(&sensor, &at, i);
+        for (p, d) in frame.depth.depth.iter_mut().enumerate() {
+            let (u, v) = ((p % k.width as usize) as f64, (p / k.width as usize) as f64);
+            let r2 = ((u - k.cx) / k.fx).powi(2) + ((v - k.cy) / k.fy).powi(2);
+            let a = 1.0 + known.depth_linear + known.depth_linear_radial * r2;
+            let b = known.depth_square + known.depth_square_radial * r2;
+            // The reading z that a z + b z² takes to the truth.
+            let t = f64::from(*d) * 0.001;
+            let z = 2.0 * t / (a + (a * a + 4.0 * b * t).sqrt());
+            *d = (z * 1000.0).round() as u16;
+        }
+        frame
+    };
+    let off = |config: &FusionConfig| {
+        let mut fusion = Fusion::new(&sensor, config).unwrap();
+        let mut first = None;
+        for i in 0..12 {
+            first = first.or(fusion.push(&distorted(i)).unwrap().world_from_camera);
+        }
+        let truth_from_ours = at.compose(&first.unwrap().inverse());
+        let mut heights: Vec<f64> =
+            fusion.finish().mesh.positions.iter().map(|p| truth_from_ours.transform(p.as_dvec3()).z.abs()).collect();
+        heights.sort_by(f64::total_cmp);
+        (heights[heights.len() / 2], heights[heights.len() * 9 / 10])
+    };
+    let (before, after) = (off(&small_config()), off(&known));
+    assert!(before.0 > 0.01, "{before:?}");
+    assert!(after.0 < 0.002 && after.1 < 0.004, "{before:?} {after:?}");
+}
+
+/// Once around a small thing on a bare floor: what the loop's end sees is where its start put it.
+#[test]
+fn a_loop_around_a_small_object_closes() {
+    let sensor = world::sensor(320, 240);
+    let thing = World {
+        shapes: vec![
+            Shape::Floor(0.0),
+            Shape::Box(DVec3::new(-0.09, -0.06, 0.0), DVec3::new(0.06, 0.05, 0.1)),
+            Shape::Ball(DVec3::new(0.03, -0.02, 0.14), 0.05),
+        ],
+        mean: 120.0,
+        contrast: 60.0,
+        cell_m: 0.02,
+    };
+    let truth: Vec<Pose> = (0..=120)
+        .map(|i| {
+            let a = f64::from(i) * std::f64::consts::TAU / 120.0;
+            let from = DVec3::new(0.6 * libm::sin(a), -0.6 * libm::cos(a), 0.4 + 0.05 * libm::sin(3.0 * a));
+            look_at(from, DVec3::new(0.0, 0.0, 0.05))
+        })
+        .collect();
+    let (metres, degrees) = worst_error(&sensor, &thing, &truth);
+    assert!(metres < 0.012 && degrees < 1.0, "{metres} m, {degrees}°");
+}
+
+/// With dropped frames a hand-held turn on the spot reaches 8° from frame to frame.
+#[test]
+fn a_violent_turn_on_the_spot_is_followed() {
+    let sensor = world::sensor(320, 240);
+    let room = World {
+        shapes: vec![
+            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
+            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
+            Shape::Box(DVec3::new(1.2, -0.4, 0.0), DVec3::new(2.0, 0.5, 1.2)),
+        ],
+        mean: 120.0,
+        contrast: 80.0,
+        cell_m: 0.12,
+    };
+    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
+    // Up to 8° a frame about a tilted axis, there and back.
+    let truth: Vec<Pose> = (0..40)
+        .map(|i| {
+            let a = 80.0 * libm::sin(f64::from(i) * 0.1);
+            moved(&start, DVec3::ZERO, DVec3::new(0.15 * a, a, 0.1 * a))
+        })
+        .collect();
+    let (metres, degrees) = worst_error(&sensor, &room, &truth);
+    assert!(metres < 0.05 && degrees < 1.5, "{metres} m, {degrees}°");
+}
+
 #[test]
 fn a_room_fits_a_small_pool_by_coarsening() {
     let sensor = world::sensor(160, 120);
