@@ -41,8 +41,10 @@ fn measure() {
         .collect();
     tracing::subscriber::set_global_default(stages::Collector).unwrap();
     let before = peak_mib();
-    for threads in [1, 2] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    // Both pools live to the end: a thread that ended would take its CPU time out of the sum.
+    let pools = [1, 2].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap());
+    for pool in &pools {
+        let threads = pool.current_num_threads();
         pool.install(|| {
             let mut fusion = Fusion::new(&sensor, &FusionConfig::default()).unwrap();
             stages::reset();
