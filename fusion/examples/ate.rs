@@ -1,7 +1,9 @@
 //! Runs TUM RGB-D folders through fusion and prints what the project is judged by: trajectory error, share of frames
 //! tracked, CPU time per frame and stage, mesh against truth.
 //!
-//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… FOLDER[=TRUTH_MESH]…`
+//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… [FOLDER[=TRUTH_MESH]…]`
+//!
+//! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`.
 
 use firmware_config::Config;
 use fusion::{Fusion, FusionOutput, Tracking};
@@ -32,6 +34,10 @@ fn main() -> Result<()> {
             _ => folders.push(arg),
         }
     }
+    if folders.is_empty() {
+        folders =
+            shared_recordings(&std::env::var("LUMISCAN_SHARED").map_err(|_| "give a folder, or set LUMISCAN_SHARED")?)?;
+    }
     if !tracing::dispatcher::has_been_set() {
         tracing::subscriber::set_global_default(stages::Collector)?;
     }
@@ -42,6 +48,24 @@ fn main() -> Result<()> {
         pool.install(|| run(Path::new(dir), truth.map(Path::new), &config, out.as_deref()).map_err(|e| e.to_string()))?;
     }
     Ok(())
+}
+
+/// The recordings with a true path in the folder of shared data, with the true mesh where there is one.
+fn shared_recordings(shared: &str) -> Result<Vec<String>> {
+    let mut found = Vec::new();
+    for group in ["data", "truth_rgbd"] {
+        for entry in std::fs::read_dir(Path::new(shared).join(group))? {
+            let entry = entry?;
+            if !entry.path().join("groundtruth.txt").is_file() {
+                continue;
+            }
+            let mesh = Path::new(shared).join("truth").join(entry.file_name()).join("mesh.ply");
+            let mesh = if mesh.is_file() { format!("={}", mesh.display()) } else { String::new() };
+            found.push(format!("{}{mesh}", entry.path().display()));
+        }
+    }
+    found.sort();
+    Ok(found)
 }
 
 fn run(dir: &Path, truth: Option<&Path>, config: &Config, out: Option<&Path>) -> Result<()> {
