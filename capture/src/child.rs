@@ -44,7 +44,7 @@ const KEPT_LINES: usize = 4;
 const PATIENCE_BUDGETS: f64 = 4.0;
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Estimates `folder`'s `scan.lscan` into `result.lres` and `preview.png`, passing progress on.
+/// Estimates `folder`'s `scan.lscan` into `result.lres`, `preview.png` and `viewer.html`, passing progress on.
 ///
 /// # Errors
 /// The child could not be started, or a signal came (the child is ended then). What becomes of the child itself is told
@@ -54,6 +54,7 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
     command.args(["--json", "estimate"]).arg(folder.join("scan.lscan"));
     command.arg("-o").arg(folder.join("result.lres")).arg("--preview").arg(folder.join("preview.png"));
+    command.arg("--viewer").arg(folder.join("viewer.html"));
     command.arg("--budget").arg(effort.budget.to_string());
     if reporter.verbose() {
         command.arg("--verbose");

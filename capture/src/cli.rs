@@ -98,7 +98,7 @@ pub struct Effort {
 /// `lumiscan replay`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png and trajectory.txt; the last
+Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png, viewer.html and trajectory.txt; the last
 line on stdout is that folder's path. Nothing is visible there before all of it is complete.
 
 Examples:
@@ -143,6 +143,9 @@ pub struct Estimate {
     /// Draw the preview sheet of the result, too (what `replay` publishes as preview.png).
     #[arg(long, value_name = "FILE", hide = true)]
     pub preview: Option<PathBuf>,
+    /// Write the page for browsers, too (what `replay` publishes as viewer.html).
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub viewer: Option<PathBuf>,
     /// Effort.
     #[command(flatten)]
     pub effort: Effort,

@@ -1,12 +1,17 @@
 //! The picture a person looks at first: one sheet with a keyframe, what the result makes of it, and the parts.
 
 mod font;
+mod spheres;
 mod view;
 
 use crate::export::{encode_srgb, hdr};
+use crate::reality::infer::infer;
+use crate::reality::seen::surroundings;
+use crate::scene::Scene;
 use glam::Vec3;
-use recordings::result::Estimate;
+use recordings::result::{Estimate, ResultKeyframe};
 use recordings::scan::Scan;
+use recordings::types::RgbImage;
 use std::fmt::Write;
 use tiny_skia::{Color, Paint, Pixmap, PixmapPaint, PremultipliedColorU8, Rect, Transform};
 use view::{Panel, View};
@@ -23,6 +28,8 @@ const CAPTION: u32 = 28;
 const DOT: u32 = 2;
 /// Height of a line of text.
 const LINE: u32 = 22;
+/// Factor by which differences are shown.
+const DIFFERENCE: f32 = 4.0;
 /// Width of the small views by which the keyframe is chosen.
 const THUMBNAIL: u32 = 48;
 
@@ -53,7 +60,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     };
     let ws_of = |s: usize| result.segments.get(s).map_or(0.0, |s| (s.w_s / ws_max.max(1e-6)) as f32);
 
-    let panels = [
+    let mut panels = vec![
         (format!("Keyframe {}", keyframe.name), view.photo(&photo)),
         ("Lit colours, re-rendered".into(), view.paint(&result.lit_color, as_photographed)),
         ("Albedo × light + gloss".into(), view.paint(&view.model(), as_photographed)),
@@ -63,7 +70,69 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         (format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands()), light(result)),
     ];
     let height = panels[0].1.height;
+    panels.extend(witness(scan, result)?);
+    let balls =
+        spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
+    panels.push(("Grey, silver, mirror in this light".into(), balls));
     compose(&panels, &facts(scan, result), height)
+}
+
+/// The witness that is covered most (no step used it), its rendering and what the two differ by; none without witnesses.
+fn witness(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, String> {
+    let of = |w: &recordings::types::Keyframe| ResultKeyframe {
+        name: w.name.clone(),
+        timestamp_ns: 0,
+        gain: [1.0; 3],
+        world_from_camera: w.world_from_camera,
+        camera: w.camera,
+        residual_px: 0.0,
+    };
+    let coverage = |w: &recordings::types::Keyframe| View::new(result, &of(w), THUMBNAIL).coverage();
+    let best = scan.witnesses.iter().map(|w| (coverage(w), w)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, frame)) = best.filter(|(c, _)| *c > 0.0) else {
+        return Ok(Vec::new());
+    };
+    let picture = frame.color.decode().map_err(|e| format!("witness {}: {e}", frame.name))?;
+    let from = of(frame);
+    let view = View::new(result, &from, PANEL);
+    let photo = view.photo(&picture);
+    let mut rendering = view.paint(&view.model(), |v| v.to_array());
+    let table = result.response.linear_table();
+    let gain = exposure(&photo, &rendering, &table);
+    for (rgb, _) in &mut rendering.pixels {
+        *rgb = std::array::from_fn(|c| f32::from(result.response.encode(rgb[c] * gain[c])) / 255.0);
+    }
+    let pixels = photo
+        .pixels
+        .iter()
+        .zip(&rendering.pixels)
+        .map(|((p, pc), (r, rc))| (std::array::from_fn(|c| (p[c] - r[c]).abs() * DIFFERENCE), pc.min(*rc)));
+    let difference = Panel { width: photo.width, height: photo.height, pixels: pixels.collect() };
+    Ok(vec![
+        (format!("Witness {}, used by no step", frame.name), photo),
+        ("Its rendering".into(), rendering),
+        (format!("Difference (x {DIFFERENCE})"), difference),
+    ])
+}
+
+/// Gain per channel under which linear `rendering` is as bright as `photo` (display values): median of ratios.
+fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
+    std::array::from_fn(|c| {
+        let both = photo.pixels.iter().zip(&rendering.pixels);
+        let ratios =
+            both.filter(|((p, pc), (r, rc))| *pc > 0.9 && *rc > 0.9 && p[c] > 0.05 && p[c] < 0.95 && r[c] > 1e-6);
+        let mut ratios: Vec<f32> =
+            ratios.map(|((p, _), (r, _))| table[(p[c] * 255.0).round() as usize] / r[c]).collect();
+        let middle = ratios.len() / 2;
+        if ratios.is_empty() { 1.0 } else { *ratios.select_nth_unstable_by(middle, f32::total_cmp).1 }
+    })
+}
+
+/// The recovered light with what the keyframes saw beyond the scan.
+fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::reality::environment::Environment {
+    let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
+    let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
+    infer(&result.light, &surroundings(result, &Scene::new(&result.mesh), &pictures))
 }
 
 /// Lays the panels out, the facts in the last place.

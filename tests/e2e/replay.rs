@@ -45,10 +45,10 @@ fn a_published_scan_is_complete_and_says_what_is_in_it() {
 
     let found = files(&folder);
     let names: Vec<&str> = found.keys().map(String::as_str).collect();
-    assert_eq!(names, ["manifest.json", "preview.png", "result.lres", "scan.lscan", "trajectory.txt"]);
+    assert_eq!(names, ["manifest.json", "preview.png", "result.lres", "scan.lscan", "trajectory.txt", "viewer.html"]);
     let manifest: serde_json::Value = serde_json::from_slice(&found["manifest.json"]).unwrap();
     let listed = manifest["files"].as_array().unwrap();
-    assert_eq!(listed.len(), 4, "every file but the manifest itself");
+    assert_eq!(listed.len(), 5, "every file but the manifest itself");
     for file in listed {
         let bytes = &found[file["name"].as_str().unwrap()];
         assert_eq!(file["bytes"], bytes.len());

@@ -42,6 +42,11 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
         let png = estimator::preview::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
         device::write_file(path, &png)?;
     }
+    if let Some(path) = &args.viewer {
+        reporter.stage("viewer", 0.0);
+        estimator::export::html::write(&result, Some(&scan), &reporter.stages(), path)
+            .map_err(|e| Failure::writing(path, e))?;
+    }
     reporter.clear();
 
     for warning in &result.warnings {

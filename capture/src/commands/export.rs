@@ -41,7 +41,7 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
             let result = Estimate::read(&args.file)?;
             let scan =
                 super::render::find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
-            estimator::export::html::write(&result, scan.as_ref(), output).map_err(written)?;
+            estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
         ExportTo::Colmap | ExportTo::Nerf => {
             let result = Estimate::read(&args.file)?;
@@ -61,6 +61,17 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
     }
     print(&output.display().to_string())
+}
+
+/// Seconds by stage from the manifest beside a published result; empty where there is none.
+fn timings(result: &Path) -> Vec<(String, f64)> {
+    let read = || -> Option<Vec<(String, f64)>> {
+        let text = std::fs::read(result.with_file_name("manifest.json")).ok()?;
+        let json: serde_json::Value = serde_json::from_slice(&text).ok()?;
+        let seconds = |part: &str| serde_json::from_value::<Vec<(String, f64)>>(json[part]["seconds"].clone()).ok();
+        Some([seconds("capture")?, seconds("estimator")?].concat())
+    };
+    read().unwrap_or_default()
 }
 
 /// What exists is never overwritten; returns the folder's name.

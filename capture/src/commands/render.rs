@@ -14,7 +14,7 @@ use estimator::reality::insert::{Insert, give_material, load as load_object};
 use estimator::reality::object::Object;
 use estimator::reality::relight::{NewLight, Relight};
 use estimator::reality::remove::{Removal, select};
-use estimator::reality::seen::surroundings;
+use estimator::reality::seen::{Backdrop, surroundings};
 use estimator::reality::view::{View, ViewChoice, sees, views};
 use estimator::scene::Scene;
 use firmware_config::RealityConfig;
@@ -166,8 +166,8 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
     let known = surroundings(&estimate, &scene, &pictures);
-    drop(pictures);
-    let changed = change(&estimate, infer(&estimate.light, &known), &gone, &objects, &config);
+    let around = (infer(&estimate.light, &known), Backdrop::new(&estimate, pictures));
+    let changed = change(&estimate, around, &gone, &objects, &config);
 
     let started = Instant::now();
     let progress = |done: usize, total: Option<usize>| {

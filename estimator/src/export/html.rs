@@ -14,7 +14,13 @@ use std::path::Path;
 
 const PAGE: &str = include_str!("viewer/page.html");
 const STYLE: &str = include_str!("viewer/style.css");
-const SCRIPT: &str = include_str!("viewer/viewer.js");
+/// Parts of the script, in order; they share one scope.
+const SCRIPT: [&str; 4] = [
+    include_str!("viewer/vector.js"),
+    include_str!("viewer/light.js"),
+    include_str!("viewer/object.js"),
+    include_str!("viewer/viewer.js"),
+];
 
 /// Bands of the transfer in the page: 16 coefficients, what a vertex shader takes in four attributes.
 const BANDS: usize = 4;
@@ -25,12 +31,12 @@ const RAYS: u32 = 64;
 const PICTURE_WIDTH: u32 = 160;
 const MOST_PICTURES: usize = 24;
 
-/// Writes the page. Nothing appears under `path` before it is complete.
+/// Writes the page; `timings` are seconds by stage. Nothing appears under `path` before it is complete.
 ///
 /// # Errors
 /// The disk is full or gone, or a keyframe's picture cannot be read.
-pub fn write(result: &Estimate, scan: Option<&Scan>, path: &Path) -> Result<()> {
-    let text = page(result, scan)?;
+pub fn write(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)], path: &Path) -> Result<()> {
+    let text = page(result, scan, timings)?;
     super::write_whole(path, |mut file| file.write_all(text.as_bytes()))
 }
 
@@ -38,7 +44,7 @@ pub fn write(result: &Estimate, scan: Option<&Scan>, path: &Path) -> Result<()> 
 ///
 /// # Errors
 /// A keyframe's picture cannot be read.
-pub fn page(result: &Estimate, scan: Option<&Scan>) -> Result<String> {
+pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -> Result<String> {
     let (transfer, scale) = transfer(result);
     let (low, high) =
         result.mesh.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
@@ -89,7 +95,7 @@ pub fn page(result: &Estimate, scan: Option<&Scan>) -> Result<String> {
         "decisions": result.decisions.iter().map(|d| json!({
             "name": d.name, "choice": d.choice, "evidence": d.evidence, "next": d.next_level,
         })).collect::<Vec<_>>(),
-        "warnings": result.warnings, "cuts": result.cuts,
+        "warnings": result.warnings, "cuts": result.cuts, "timings": timings,
         "keyframes": result.keyframes.iter().zip(pictures.iter().map(Some).chain(std::iter::repeat(None))).map(|(k, p)| {
             let i = &k.camera.intrinsics;
             json!({
@@ -110,7 +116,7 @@ pub fn page(result: &Estimate, scan: Option<&Scan>) -> Result<String> {
         .replace("<!--PREVIEW-->", &preview)
         .replace("/*FACTS*/", &facts)
         .replace("/*DATA*/", &base64(&data))
-        .replace("/*SCRIPT*/", SCRIPT))
+        .replace("/*SCRIPT*/", &format!("\"use strict\";\n(() => {{\n{}}})();\n", SCRIPT.concat())))
 }
 
 fn flat<T, const N: usize>(values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
@@ -208,7 +214,7 @@ mod tests {
     fn the_page_is_whole_and_a_name_cannot_leave_its_place() {
         let mut result = tiny();
         result.name = "</script><b>".into();
-        let page = page(&result, None).unwrap();
+        let page = page(&result, None, &[("fusion".into(), 1.5)]).unwrap();
         assert!(!page.contains("</script><b>") && !page.contains("/*FACTS*/") && !page.contains("/*DATA*/"));
         assert!(!page.contains("http://") && !page.contains("https://"));
     }

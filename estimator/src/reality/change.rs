@@ -3,6 +3,7 @@
 use super::environment::Environment;
 use super::object::{Material, Object};
 use super::remove::{Adjacency, Cut, cut, inpaint};
+use super::seen::Backdrop;
 use super::world::{Ball, Body, Side, World};
 use crate::random::hash;
 use firmware_config::RealityConfig;
@@ -34,6 +35,20 @@ pub struct Changed {
     pub reached: Vec<bool>,
     /// True where `reflectance` stands in for what no keyframe saw.
     pub filled: Vec<bool>,
+    /// What is behind the scan.
+    pub backdrop: Backdrop,
+}
+
+impl Changed {
+    /// Radiance from beyond the scan: what keyframes saw there, otherwise the light.
+    #[must_use]
+    pub fn beyond(&self, direction: Vec3) -> Vec3 {
+        let world = &self.world;
+        let blocks = |o: Vec3, d: Vec3| {
+            world.kept.bvh.occluded(o, d) || world.removed.as_ref().is_some_and(|b| b.bvh.occluded(o, d))
+        };
+        self.backdrop.radiance(direction, blocks).unwrap_or_else(|| world.environment.radiance(direction))
+    }
 }
 
 /// The reconstructed surface as an object: albedo per vertex, a material per segment.
@@ -53,11 +68,11 @@ pub fn scanned(estimate: &Estimate) -> Object {
     }
 }
 
-/// Lights a world in which `gone` vertices of the result are removed and `inserted` stands.
+/// Lights a world (its light, what is behind it) in which `gone` vertices of the result are removed and `inserted` stands.
 #[must_use]
 pub fn change(
     estimate: &Estimate,
-    environment: Environment,
+    (environment, backdrop): (Environment, Backdrop),
     gone: &[bool],
     inserted: &[Object],
     config: &RealityConfig,
@@ -99,7 +114,7 @@ pub fn change(
         Body::new(all, dark)
     });
     let world = World { kept, removed, inserted, changes, environment };
-    light(world, &seen, first_patch, &adjacency, config)
+    Changed { backdrop, ..light(world, &seen, first_patch, &adjacency, config) }
 }
 
 /// A ball around every connected piece: a cone towards each wastes no ray on what is between them.
@@ -192,7 +207,7 @@ fn light(
         .collect();
     world.kept.after = after;
     light_inserted(&mut world, config, 2);
-    Changed { world, irradiance, reflectance, reached, filled }
+    Changed { world, irradiance, reflectance, reached, filled, backdrop: Backdrop::default() }
 }
 
 /// (E + ΔE) / E per channel.

@@ -25,7 +25,7 @@ const FILTER: i32 = 2;
 /// Samples that show the model itself, per pixel.
 const MODEL_SAMPLES: u32 = 4;
 /// Rays of a glossy reflection per sample.
-const GLOSS_RAYS: u32 = 4;
+const GLOSS_RAYS: u32 = 16;
 
 /// A camera with a pose.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +96,7 @@ fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32) -> Vec3
     use super::world::Met;
     let world = &changed.world;
     match world.meet(eye, d, side) {
-        Met::Beyond => world.environment.radiance(d),
+        Met::Beyond => changed.beyond(d),
         Met::Body(body, hit, _) => {
             let t = body.object.mesh.triangles[hit.triangle as usize];
             let light = interpolate(if side == Side::After { &body.after } else { &body.radiance }, t, &hit);
@@ -156,7 +156,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
                         let t = world.kept.object.mesh.triangles[hit.triangle as usize];
                         interpolate(&changed.reflectance, t, hit) * light.irradiance[i]
                     }
-                    None => world.environment.radiance(view.ray((i % width) as f32, (i / width) as f32)),
+                    None => changed.beyond(view.ray((i % width) as f32, (i / width) as f32)),
                 };
                 value = value.lerp(view.gain * behind, share);
                 touched = true;

@@ -23,6 +23,8 @@ const LAMP_WIDTH: f64 = 0.35;
 const FAINTEST: f64 = 0.08;
 /// Share of the unseen light that the even level may take.
 const EVEN_SHARE: f64 = 0.7;
+/// No direction is darker than this share of the even level.
+const FLOOR: f32 = 0.25;
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// Light of a result with the surroundings that its keyframes saw (per texel, or empty).
@@ -68,11 +70,25 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
                 }
             }
             let clipped = known.get(i).is_some_and(|k| k.clipped && k.trust > 0.0);
-            let inferred = (even + sum).max(if clipped { radiance(i) } else { even * 0.25 });
+            let inferred = within(even + sum, even);
+            let inferred = if clipped { inferred.max(radiance(i)) } else { inferred };
             inferred.lerp(radiance(i), trust(i))
         })
         .collect();
     Environment::from_texels(texels)
+}
+
+/// Few bands ring, and each channel does so for itself: what falls below its floor is drawn towards the even level's hue
+/// at its own luminance, until no channel does.
+fn within(light: Vec3, even: Vec3) -> Vec3 {
+    let luminance = |v: Vec3| v.dot(Vec3::from(LUMINANCE.map(|x| x as f32)));
+    let floor = even * FLOOR;
+    let level = (luminance(light) / luminance(even).max(f32::MIN_POSITIVE)).max(FLOOR);
+    let grey = even * level;
+    let share = (0..3).fold(1.0f32, |t, c| {
+        if light[c] >= floor[c] { t } else { t.min((grey[c] - floor[c]) / (grey[c] - light[c]).max(f32::MIN_POSITIVE)) }
+    });
+    grey.lerp(light, share.clamp(0.0, 1.0)).max(floor)
 }
 
 /// Middle radiance of the directions that were seen, per channel.

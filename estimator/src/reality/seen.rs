@@ -34,6 +34,63 @@ pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
     d.normalize().as_vec3()
 }
 
+/// The keyframes' pictures as a backdrop at infinity, as sharp as they are.
+#[derive(Debug, Default)]
+pub struct Backdrop {
+    views: Vec<(ResultKeyframe, RgbImage)>,
+    table: Vec<f32>,
+}
+
+impl Backdrop {
+    /// From pictures, one a keyframe (`None` where there is none).
+    #[must_use]
+    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>) -> Self {
+        let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
+        Self { views, table: estimate.response.linear_table().to_vec() }
+    }
+
+    /// Radiance from beyond the scan in a unit direction: the middle of what the keyframes saw there past every surface
+    /// that `blocks` a ray (origin, direction), per channel; `None` where none looked.
+    #[must_use]
+    pub fn radiance(&self, direction: Vec3, blocks: impl Fn(Vec3, Vec3) -> bool) -> Option<Vec3> {
+        let seen: Vec<Vec3> = self.views.iter().filter_map(|(k, p)| self.from(k, p, direction, &blocks)).collect();
+        let middle = |c: usize| {
+            let mut x: Vec<f32> = seen.iter().map(|r| r[c]).collect();
+            x.sort_by(f32::total_cmp);
+            // Of an even number, both in the middle.
+            (x[(x.len() - 1) / 2] + x[x.len() / 2]) * 0.5
+        };
+        (!seen.is_empty()).then(|| Vec3::new(middle(0), middle(1), middle(2)))
+    }
+
+    fn from(
+        &self,
+        keyframe: &ResultKeyframe,
+        picture: &RgbImage,
+        direction: Vec3,
+        blocks: impl Fn(Vec3, Vec3) -> bool,
+    ) -> Option<Vec3> {
+        let eye = keyframe.world_from_camera.translation.as_vec3();
+        let (u, v) = keyframe.camera.project(keyframe.world_from_camera.rotation.inverse() * direction.as_dvec3())?;
+        let (x, y) = (libm::floor(u), libm::floor(v));
+        let (w, h) = (f64::from(picture.width), f64::from(picture.height));
+        let inside = x >= 0.0 && y >= 0.0 && x + 1.0 < w && y + 1.0 < h;
+        let misses = |dx: f64, dy: f64| !blocks(eye, ray(keyframe, u + dx, v + dy));
+        let c = CLEARANCE;
+        if !inside || !misses(0.0, 0.0) || !misses(-c, 0.0) || !misses(c, 0.0) || !misses(0.0, -c) || !misses(0.0, c) {
+            return None;
+        }
+        let at = |x: u32, y: u32| {
+            let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
+            Vec3::new(self.table[p[0] as usize], self.table[p[1] as usize], self.table[p[2] as usize])
+        };
+        let (fx, fy) = ((u - x) as f32, (v - y) as f32);
+        let (x, y) = (x as u32, y as u32);
+        let linear = at(x, y).lerp(at(x + 1, y), fx).lerp(at(x, y + 1).lerp(at(x + 1, y + 1), fx), fy);
+        Some(linear / Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9)))
+    }
+}
+
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
 #[must_use]
 pub fn surroundings(estimate: &Estimate, scene: &Scene, pictures: &[Option<RgbImage>]) -> Vec<Known> {

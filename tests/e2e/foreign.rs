@@ -1,0 +1,176 @@
+//! What is exported, opened by programs that are not ours: the Khronos validator, three.js, trimesh, OpenEXR's tools,
+//! COLMAP, and a browser. Where such a program is not installed its test says that it was skipped, and why; `.ci/run`
+//! installs them all.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "these are tests")]
+
+mod common;
+
+use common::{arg, ok, text, tum_folder};
+use recordings::result::Estimate;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// A published scan and its exports.
+struct Exported {
+    dir: tempfile::TempDir,
+    scan: PathBuf,
+    estimate: Estimate,
+}
+
+static EXPORTED: OnceLock<Exported> = OnceLock::new();
+
+fn exported() -> &'static Exported {
+    EXPORTED.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        let (source, device) = (dir.path().join("table"), dir.path().join("device"));
+        tum_folder(&source, 24);
+        let settings = ["--set", "fusion.voxel_size_m=0.01", "--rounds", "2"];
+        let folder = ok(&[&["replay", &arg(&source), "--device", &arg(&device)][..], &settings].concat());
+        let scan = PathBuf::from(folder.trim());
+        let result = arg(scan.join("result.lres"));
+        for (form, name) in [
+            ("glb", "result.glb"),
+            ("ply", "result.ply"),
+            ("hdr", "light.hdr"),
+            ("exr", "light.exr"),
+            ("colmap", "colmap"),
+            ("nerf", "nerf"),
+        ] {
+            ok(&["export", &result, "--to", form, "-o", &arg(dir.path().join(name))]);
+        }
+        let estimate = Estimate::read(&scan.join("result.lres")).unwrap();
+        Exported { dir, scan, estimate }
+    })
+}
+
+/// The script of this folder's neighbour `foreign`.
+fn script(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/foreign").join(name)
+}
+
+fn works(command: &mut Command) -> bool {
+    command.output().is_ok_and(|o| o.status.success())
+}
+
+/// Node, if it finds the npm package; otherwise says why not.
+fn node(package: &str) -> Option<Command> {
+    let found = works(Command::new("node").args(["-e", &format!("require.resolve('{package}')")]));
+    if !found {
+        eprintln!("skipped: node does not find the npm package {package} (NODE_PATH names the folder of packages)");
+    }
+    found.then(|| Command::new("node"))
+}
+
+/// Python, if it finds the module; otherwise says why not. `LUMISCAN_PYTHON` names another interpreter.
+fn python(module: &str) -> Option<Command> {
+    let program = std::env::var("LUMISCAN_PYTHON").unwrap_or_else(|_| "python3".into());
+    let found = works(Command::new(&program).args(["-c", &format!("import {module}")]));
+    if !found {
+        eprintln!("skipped: {program} does not find the module {module} (LUMISCAN_PYTHON names another interpreter)");
+    }
+    found.then(|| Command::new(program))
+}
+
+fn accepted(output: &Output) -> serde_json::Value {
+    assert!(output.status.success(), "{}{}", text(&output.stdout), text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap_or_default()
+}
+
+#[test]
+fn khronos_validator() {
+    let Some(mut node) = node("gltf-validator") else { return };
+    let glb = exported().dir.path().join("result.glb");
+    accepted(&node.arg(script("gltf.cjs")).arg(glb).output().unwrap());
+}
+
+#[test]
+fn three_js() {
+    let Some(mut node) = node("three") else { return };
+    let e = exported();
+    let found = accepted(&node.arg(script("three.cjs")).arg(e.dir.path()).output().unwrap());
+    assert_eq!(found["vertices"][0], e.estimate.mesh.positions.len());
+    assert_eq!(found["triangles"], e.estimate.mesh.triangles.len());
+    assert_eq!(found["cameras"], e.estimate.keyframes.len());
+    assert_eq!(
+        (&found["colors"], &found["hdr"], &found["exr"]),
+        (&true.into(), &[512, 256].into(), &[512, 256].into())
+    );
+}
+
+#[test]
+fn trimesh() {
+    let Some(mut python) = python("trimesh") else { return };
+    let e = exported();
+    let found = accepted(&python.arg(script("read.py")).arg("trimesh").arg(e.dir.path()).output().unwrap());
+    let mesh = &e.estimate.mesh;
+    assert_eq!(
+        (found["ply_vertices"].as_u64(), found["ply_triangles"].as_u64()),
+        (Some(mesh.positions.len() as u64), Some(mesh.triangles.len() as u64))
+    );
+    assert_eq!(found["glb_triangles"], mesh.triangles.len());
+    // +Z up here is +Y up there.
+    let top = mesh.positions.iter().map(|p| p.z).fold(f32::NEG_INFINITY, f32::max);
+    for up in ["glb_up", "ply_up"] {
+        assert!((found[up].as_f64().unwrap() - f64::from(top)).abs() < 1e-4, "{found}");
+    }
+}
+
+#[test]
+fn colmap() {
+    let Some(mut python) = python("pycolmap") else { return };
+    let e = exported();
+    let found = accepted(&python.arg(script("read.py")).arg("pycolmap").arg(e.dir.path()).output().unwrap());
+    assert_eq!(found["images"], e.estimate.keyframes.len());
+    let eyes = e.estimate.keyframes.iter().map(|k| k.world_from_camera.translation);
+    let center: Vec<f64> = serde_json::from_value(found["center"].clone()).unwrap();
+    let nearest = eyes.map(|p| p.distance(glam::DVec3::from_slice(&center))).fold(f64::INFINITY, f64::min);
+    assert!(nearest < 1e-6, "{nearest}");
+}
+
+#[test]
+fn openexr_tools() {
+    let e = exported();
+    if !Command::new("exrmakepreview").arg("-h").output().is_ok_and(|_| true) {
+        eprintln!("skipped: OpenEXR's tools (exrmakepreview) are not on the PATH");
+        return;
+    }
+    let out = e.dir.path().join("preview.exr");
+    let picture = e.dir.path().join("picture.exr");
+    ok(&["render", &arg(e.scan.join("result.lres")), "--size", "40x30", "-o", &arg(&picture)]);
+    for file in [e.dir.path().join("light.exr"), picture] {
+        accepted(&Command::new("exrmakepreview").arg(&file).arg(&out).output().unwrap());
+    }
+}
+
+#[test]
+fn browser() {
+    let Some(mut node) = node("playwright-core") else { return };
+    let chromium = std::env::var("CHROMIUM").unwrap_or_else(|_| "/usr/bin/chromium".into());
+    if !Path::new(&chromium).exists() {
+        eprintln!("skipped: {chromium} is not there (CHROMIUM names another)");
+        return;
+    }
+    let e = exported();
+    let page = e.scan.join("viewer.html");
+    let rendering = e.dir.path().join("rendering.png");
+    ok(&[
+        "render",
+        &arg(e.scan.join("result.lres")),
+        "--view",
+        "keyframe:0",
+        "--size",
+        "640x480",
+        "-o",
+        &arg(&rendering),
+    ]);
+    let panorama = e.dir.path().join("panorama.png");
+    let pixels: Vec<u8> = (0..64 * 32).flat_map(|i| if i % 64 < 20 { [255, 240, 200] } else { [30, 40, 60] }).collect();
+    estimator::export::picture::write_png(&panorama, 64, 32, &pixels).unwrap();
+    let object = e.dir.path().join("result.glb");
+    let output = node.arg(script("viewer.cjs")).args([&page, &rendering, &panorama, &object]).output().unwrap();
+    let told = accepted(&output);
+    eprintln!("{told}");
+    assert!(std::fs::metadata(&page).unwrap().len() < 8_000_000);
+}

@@ -1,0 +1,21 @@
+// three.js reads what is exported: node three.cjs FOLDER (with result.glb, light.hdr, light.exr). Prints what it found.
+const fs = require("fs"), path = require("path"), { pathToFileURL } = require("url");
+const addon = (name) => import(pathToFileURL(path.join(path.dirname(require.resolve("three")), "../examples/jsm/loaders", name)));
+const buffer = (name) => { const b = fs.readFileSync(path.join(process.argv[2], name)); return b.buffer.slice(b.byteOffset, b.byteOffset + b.length); };
+globalThis.self = globalThis;
+(async () => {
+  const { GLTFLoader } = await addon("GLTFLoader.js");
+  const gltf = await new GLTFLoader().parseAsync(buffer("result.glb"), "");
+  const found = { vertices: new Set(), triangles: 0, cameras: gltf.cameras.length, materials: new Set(), colors: true };
+  gltf.scene.traverse((o) => {
+    if (!o.isMesh) return;
+    found.vertices.add(o.geometry.attributes.position.count);
+    found.triangles += o.geometry.index.count / 3;
+    found.materials.add(o.material.name);
+    found.colors &&= !!o.geometry.attributes.color;
+  });
+  const hdr = new (await addon("HDRLoader.js")).HDRLoader().parse(buffer("light.hdr"));
+  const exr = new (await addon("EXRLoader.js")).EXRLoader().parse(buffer("light.exr"));
+  console.log(JSON.stringify({ vertices: [...found.vertices], triangles: found.triangles, cameras: found.cameras,
+    materials: found.materials.size, colors: found.colors, hdr: [hdr.width, hdr.height], exr: [exr.width, exr.height] }));
+})().catch((e) => { console.error(e.stack); process.exit(1); });
