@@ -79,8 +79,8 @@ mod tests {
         let panel = panel(&even, &pose, (90, 30), |v| v.to_array());
         let middle = |ball: usize| panel.pixels[15 * 90 + 15 + 30 * ball].0[1];
         assert!((middle(0) - 0.5).abs() < 0.01 && (middle(2) - 1.0).abs() < 1e-3, "{} {}", middle(0), middle(2));
-        // Rough metal loses what masking takes.
-        assert!(middle(1) > 0.85 && middle(1) <= 1.01, "{}", middle(1));
+        // Rough metal loses what masking takes: single scattering at α = 0.3 returns 0.88.
+        assert!(middle(1) > 0.8 && middle(1) < 0.95, "{}", middle(1));
         assert_eq!(panel.pixels[0].1, 0.0);
     }
 }
