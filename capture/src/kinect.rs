@@ -13,8 +13,10 @@ const SHUTTER_WIDTH: u16 = 0x0009;
 const SHUTTER_US: f64 = 54.21;
 /// Least time between two readings of it while streaming: at most two commands a second.
 const SHUTTER_INTERVAL: Duration = Duration::from_millis(500);
-/// LED, accelerometer and exposure are a courtesy: no longer than this is waited for them, since packets wait meanwhile.
+/// LED, accelerometer and exposure are a courtesy: no longer than this is waited for them while packets wait.
 const COURTESY_LIMIT: Duration = Duration::from_millis(100);
+/// The same while nothing streams.
+const IDLE_COURTESY_LIMIT: Duration = Duration::from_millis(500);
 /// Failures in a row after which LED and accelerometer are left alone.
 const COURTESY_FAILURES: u32 = 3;
 /// Replies of earlier commands that are read away before one of them is believed to be missing.
@@ -117,7 +119,7 @@ impl Kinect {
     /// # Errors
     /// Unplugged, no bandwidth, or no answer; nothing streams then.
     pub fn start(&mut self) -> Result<PacketSource, KinectError> {
-        let (sink, source) = packet_ring(RING_BYTES);
+        let (sink, mut source) = packet_ring(RING_BYTES);
         self.usb.start(&[self.depth.endpoint, self.color.endpoint], sink)?;
         self.streaming = true;
         let registers = self.depth.start.iter().chain(self.color.start);
@@ -127,6 +129,8 @@ impl Kinect {
                 return Err(e);
             }
         }
+        // Nobody takes packets while slow commands are waited for.
+        source.begin_anew_if_full();
         Ok(source)
     }
 
@@ -167,7 +171,7 @@ impl Kinect {
                     Led::Error => 2,
                     Led::Busy => 3,
                 };
-                self.usb.control_out(Part::Motor, 0x06, value, &[], COURTESY_LIMIT)
+                self.usb.control_out(Part::Motor, 0x06, value, &[], self.patience())
             }
             Some(_) => {
                 let value = match led {
@@ -207,9 +211,13 @@ impl Kinect {
         Some(f64::from(width) * SHUTTER_US)
     }
 
+    fn patience(&self) -> Duration {
+        if self.streaming { COURTESY_LIMIT } else { IDLE_COURTESY_LIMIT }
+    }
+
     fn motor_accelerometer(&mut self) -> Result<[i32; 3], UsbError> {
         let mut state = [0u8; 10];
-        let n = self.usb.control_in(Part::Motor, 0x32, 0, &mut state, COURTESY_LIMIT)?;
+        let n = self.usb.control_in(Part::Motor, 0x32, 0, &mut state, self.patience())?;
         if n < 8 {
             return Err(UsbError::Other(format!("{n} bytes of motor state")));
         }
@@ -219,7 +227,7 @@ impl Kinect {
     fn audio_accelerometer(&mut self) -> Result<[i32; 3], UsbError> {
         let tag = self.audio_command(&[0x68, 0x8032])?;
         let mut state = [0u8; 512];
-        let n = self.usb.bulk_in(&mut state, COURTESY_LIMIT)?;
+        let n = self.usb.bulk_in(&mut state, self.patience())?;
         let bytes =
             state.get(..n).and_then(|s| s.get(16..28)).ok_or_else(|| UsbError::Other(format!("{n} bytes of state")))?;
         let counts = [0, 4, 8].map(|i| i32::from_le_bytes([bytes[i], bytes[i + 1], bytes[i + 2], bytes[i + 3]]));
@@ -232,7 +240,7 @@ impl Kinect {
         let tag = self.courtesy.tag;
         self.courtesy.tag = tag.wrapping_add(1);
         let bytes: Vec<u8> = [0x0602_2009, tag].iter().chain(words).flat_map(|w| w.to_le_bytes()).collect();
-        self.usb.bulk_out(&bytes, COURTESY_LIMIT)?;
+        self.usb.bulk_out(&bytes, self.patience())?;
         Ok(tag)
     }
 
@@ -241,7 +249,7 @@ impl Kinect {
         let expected: Vec<u8> = [0x0a6f_e000, tag, 0u32].iter().flat_map(|w| w.to_le_bytes()).collect();
         // One that was given up may have been answered since.
         for _ in 0..AUDIO_REPLIES {
-            let n = self.usb.bulk_in(&mut status, COURTESY_LIMIT)?;
+            let n = self.usb.bulk_in(&mut status, self.patience())?;
             if status.get(..n) == Some(&expected[..]) {
                 return Ok(());
             }

@@ -246,6 +246,17 @@ impl PacketSource {
         Some(Arrived { endpoint: header[0], len: taken, host_ns: i64::from_le_bytes(time) })
     }
 
+    /// Forgets what came so far, if it was more than the ring holds, so that what is taken begins without a hole.
+    pub fn begin_anew_if_full(&mut self) {
+        if self.counters.dropped.load(Ordering::Relaxed) == 0 {
+            return;
+        }
+        // What comes meanwhile is taken; the counters begin where the ring is empty.
+        while self.pop(&mut []).is_some() {}
+        self.counters.dropped.store(0, Ordering::Relaxed);
+        self.counters.packets.store(0, Ordering::Relaxed);
+    }
+
     /// True once nothing more will come; what is in the ring can still be taken.
     #[must_use]
     pub fn gone(&self) -> bool {
@@ -283,6 +294,19 @@ mod tests {
             assert_eq!(source.pop(&mut buffer), Some(Arrived { endpoint: 0x81, len: 0, host_ns: i64::MIN }));
             assert_eq!(source.pop(&mut buffer), None);
         }
+    }
+
+    #[test]
+    fn a_ring_that_ran_full_before_it_was_read_begins_anew() {
+        let (mut sink, mut source) = packet_ring(4096);
+        sink.push(0x81, 1, &[7; 1000]);
+        source.begin_anew_if_full();
+        assert_eq!(source.stats().packets, 1, "nothing was lost");
+        (0..10).for_each(|_| sink.push(0x81, 1, &[7; 1000]));
+        source.begin_anew_if_full();
+        sink.push(0x82, 2, &[8; 10]);
+        assert_eq!(source.stats(), RingStats { packets: 1, dropped: 0, bad_status: 0 });
+        assert_eq!(source.pop(&mut [0; 64]), Some(Arrived { endpoint: 0x82, len: 10, host_ns: 2 }));
     }
 
     #[test]

@@ -41,7 +41,7 @@ const INTERFACE: u8 = 0;
 /// Interfaces of an audio device that has firmware; with one it is a boot loader that would take commands for pages.
 const AUDIO_INTERFACES: u8 = 2;
 /// Longest wait for a string descriptor.
-const STRING_LIMIT: Duration = Duration::from_millis(200);
+const STRING_LIMIT: Duration = Duration::from_millis(500);
 
 /// The machine's USB buses.
 #[derive(Default)]

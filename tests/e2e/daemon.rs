@@ -341,7 +341,7 @@ fn the_scan_after_a_bad_one_is_good() {
     for (faults, counter) in [
         ("loss=0.5,burst=0.001", "missing_packets"),
         ("garbage=0.2,truncate=0.2,reorder=0.1,bad_status=0.1", "flagged_packets"),
-        ("stall_every=8,stall_frames=150", "restarts"),
+        ("burst=0.002,burst_packets=300,stall_every=20,stall_frames=5", "missing_packets"),
     ] {
         let dir = tempfile::tempdir().unwrap();
         let device = dir.path().join("device");

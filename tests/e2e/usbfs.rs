@@ -241,6 +241,17 @@ fn check_looks_at_the_bus() {
     assert!(shared["remedy"].as_str().unwrap().contains("of its own"), "{shared}");
 }
 
+/// A Kinect so slow to answer that its packets overflow the ring while it is started: what is taken has no hole.
+#[test]
+fn a_slow_start_loses_no_packet() {
+    let machine = Machine::new("not_ready=60");
+    let path = arg(machine.root.path().join("a.lrec"));
+    let c = machine.json(&["--json", "record", &path, "--seconds", "1"])["counters"].clone();
+    assert_eq!((&c["depth"]["incomplete_frames"], &c["color"]["incomplete_frames"]), (&0.into(), &0.into()), "{c}");
+    assert!(c["ring_dropped"] == 0 && c["depth"]["resyncs"] == 0, "{c}");
+    machine.log();
+}
+
 #[test]
 fn pulling_the_plug_leaves_a_complete_recording() {
     let machine = Machine::new("unplug=8000");

@@ -151,7 +151,11 @@ fn camera_settings(k: &Found, config: &Config) -> Finding {
         "camera",
         Verdict::Warning,
         detail,
-        format!("calibrate it and add a table [camera.{}] to the settings", k.serial),
+        format!(
+            "calibrate it and add a table [camera.{}] to the settings; `lumiscan inspect` of a result says whether the \
+             response fits its pictures",
+            k.serial
+        ),
     )
 }
 

@@ -15,8 +15,10 @@ use recordings::types::UsbPacket;
 use serde_json::json;
 use std::path::Path;
 
-/// Events waiting for the disk: about a second of frames, or of packets by the batch.
+/// Batches waiting for the disk: a second of frames, or three of packets (of at most 2.4 MB each).
 const QUEUED: usize = 64;
+/// Packets are handed on by so many bytes, so that the queue holds some seconds of them while a disk rests.
+const GATHERED: usize = 1 << 20;
 /// Bytes a second that raw packets come to, headers of the file included.
 const RAW_RATE: f64 = 22.5e6;
 /// The same for compressed frames, at worst.
@@ -116,8 +118,8 @@ impl Session {
                 return Ok((self.live.stats(), false));
             }
         }
-        let mut told = None;
-        loop {
+        let (mut told, mut batch, mut bytes) = (None, Vec::new(), 0);
+        let gone = loop {
             if let Some(stream) = self.live.silent_stream().filter(|s| told != Some(*s)) {
                 tracing::warn!("no {stream} frames come; plug the Kinect into a USB 2 port of its own");
                 told = Some(stream);
@@ -127,6 +129,7 @@ impl Session {
             let polled = self.live.poll(
                 &mut |p, data| {
                     host_ns = p.host_ns;
+                    bytes += data.len();
                     if raw {
                         let packet = UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() };
                         packets.push(Event::Packet(packet));
@@ -152,7 +155,12 @@ impl Session {
                 });
                 events.append(&mut packets);
             }
-            let taken = events.is_empty() || out(events);
+            batch.append(&mut events);
+            let full = if raw { bytes >= GATHERED } else { !batch.is_empty() };
+            let taken = !full || out(std::mem::take(&mut batch));
+            if full {
+                bytes = 0;
+            }
             let seconds = self.first.map_or(0.0, |f| (self.newest - f) as f64 * 1e-9);
             let over = self.seconds.is_some_and(|limit| seconds >= limit);
             let exposure = self.live.exposure_us().map_or(String::new(), |us| format!(" · exposure {us:.0} µs"));
@@ -164,20 +172,21 @@ impl Session {
                 detail,
             });
             match polled {
-                Ok(Polled::Gone) => return Ok((self.live.stats(), true)),
+                Ok(Polled::Gone) => break true,
                 // What came before it fell silent is worth keeping.
                 Err(e) if self.first.is_some() => {
                     tracing::warn!("{e}");
-                    self.live.set_led(Led::Error);
-                    return Ok((self.live.stats(), true));
+                    break true;
                 }
                 Err(e) => return Err(sensor::failure(e)),
-                Ok(_) if over || !taken || stop.check().is_err() => break,
+                Ok(_) if over || !taken || stop.check().is_err() => break false,
                 Ok(_) => {}
             }
-        }
-        self.live.set_led(Led::Ready);
-        Ok((self.live.stats(), false))
+        };
+        // A disk that takes no more says so itself.
+        let _ = out(batch);
+        self.live.set_led(if gone { Led::Error } else { Led::Ready });
+        Ok((self.live.stats(), gone))
     }
 }
 

@@ -426,12 +426,7 @@ impl Transport for SimKinect {
             let registers = lock(&shared.registers).clone();
             let depth = if registers.get(&0x12) == Some(&2) { &DEPTH_10 } else { &DEPTH_11 };
             let color = if registers.get(&0x0d) == Some(&2) { &BAYER_SXGA } else { &BAYER_VGA };
-            let calibration = Calibration {
-                zero_plane: PLANE,
-                registration: Registration::from_words(REGISTRATION_WORDS),
-                start_lines: 0,
-            };
-            match Player::open(&plan, DepthDecoder::new(&calibration, depth), depth, color) {
+            match Player::open(&plan, DepthDecoder::new(&calibration(), depth), depth, color) {
                 Ok(player) => {
                     let random = Random::new(seed);
                     Streamer { plan, shared, stop: stopped, player, depth, color, sink, random }.run();
@@ -476,6 +471,11 @@ impl Drop for SimKinect {
 
 /// A typical unit.
 const PLANE: ZeroPlane = ZeroPlane { emitter_cm: 7.5, distance: 120.0, pixel_size: 0.1042, const_shift: 200 };
+
+/// What it says of its own geometry.
+pub fn calibration() -> Calibration {
+    Calibration { zero_plane: PLANE, registration: Registration::from_words(REGISTRATION_WORDS), start_lines: 0 }
+}
 
 /// Moves every pixel back by the one that the tables are ahead, so that only the shift by depth is left: what the
 /// colour camera shall see can be put into the depth camera exactly.
