@@ -9,7 +9,7 @@ use crate::pose;
 use crate::raster::{MISS, Raster, camera_positions, triangle_normals};
 use crate::robust::weighted_median;
 use crate::scene::Scene;
-use firmware_config::{EstimatorConfig, Switch};
+use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 use recordings::result::Decision;
@@ -55,6 +55,55 @@ pub struct Association {
     pub offsets: Vec<u32>,
     /// Exposure model and pose refinement, with their evidence.
     pub decisions: Vec<Decision>,
+    /// Linear samples below this tell no exposure.
+    pub dark_below: f32,
+}
+
+/// Weight of a glossy vertex in exposures where enough matte ones are seen.
+const GLOSSY: f32 = 0.003;
+/// Share of a keyframe's observations that must be matte for that.
+const ENOUGH_MATTE: f64 = 0.03;
+
+impl Association {
+    /// Exposures and lit colours anew (Eqs. 2 and 5), now that it is known which vertices are `matte`: gloss brightens
+    /// a picture like an exposure does. Returns the RMS change of the log gains; `None`, and nothing changes, where
+    /// most keyframes see too little that is matte, or exposures are not estimated at all.
+    pub fn expose_by(&mut self, matte: &[bool], mesh: &Mesh, median_edge: f32) -> Option<f64> {
+        let estimated = self.views.iter().any(|v| v.gain != [1.0; 3]);
+        let rgb = self.views.iter().any(|v| v.gain[0] != v.gain[1] || v.gain[1] != v.gain[2]);
+        let mut shares = vec![[0.0f64; 2]; self.views.len()];
+        for o in &self.observations {
+            shares[o.keyframe as usize][usize::from(matte[o.vertex as usize])] += f64::from(o.weight);
+        }
+        let enough = shares.iter().filter(|[glossy, matte]| *matte > ENOUGH_MATTE * (glossy + matte)).count();
+        if !estimated || 2 * enough <= shares.len() {
+            return None;
+        }
+        let gains: Vec<[f32; 3]> = self.views.iter().map(|v| v.gain.map(|g| g as f32)).collect();
+        let raw = |o: &Observation| {
+            let weight = if matte[o.vertex as usize] { o.weight } else { GLOSSY * o.weight };
+            let gain = gains[o.keyframe as usize];
+            Observation { color: std::array::from_fn(|c| o.color[c] * gain[c]), weight, ..*o }
+        };
+        let mut field =
+            LightField { observations: self.observations.iter().map(raw).collect(), offsets: self.offsets.clone() };
+        let choice = if rgb { ExposureChoice::Rgb } else { ExposureChoice::Scalar };
+        let (new, _) = exposure::solve(&field, mesh, median_edge, self.views.len(), choice, self.dark_below);
+        let mut moved = 0.0;
+        for (view, new) in self.views.iter_mut().zip(&new) {
+            moved += view.gain.iter().zip(new).map(|(a, b)| libm::log(b / a).powi(2)).sum::<f64>() / 3.0;
+            view.gain = *new;
+        }
+        let moved = libm::sqrt(moved / self.views.len() as f64);
+        field.observations.iter_mut().zip(&self.observations).for_each(|(raw, o)| raw.weight = o.weight);
+        let lit = field.lit_colors(&self.views);
+        (self.lit_color, self.lit_weight) = (lit.color, lit.weight);
+        for (o, raw) in self.observations.iter_mut().zip(&field.observations) {
+            let gain = self.views[o.keyframe as usize].gain;
+            o.color = std::array::from_fn(|c| raw.color[c] / gain[c] as f32);
+        }
+        Some(moved)
+    }
 }
 
 /// What does not change from round to round.
@@ -175,6 +224,7 @@ pub fn associate(
         observations,
         offsets: field.offsets,
         decisions: decision.into_iter().chain(tracker.decision(refine)).collect(),
+        dark_below: config.dark_below as f32,
     }
 }
 

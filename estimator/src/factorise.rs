@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Albedo before anything is known of it (a0 of Eq. 10).
 const MID_GREY: f32 = 0.5;
 /// The free factor per channel is fixed by the brightest segment of at least this share of the seen vertices …
-const SCALE_SHARE: f64 = 0.02;
+pub(crate) const SCALE_SHARE: f64 = 0.02;
 /// … which gets this albedo.
 const SCALE_ALBEDO: f64 = 0.75;
 /// Bands of the first solution, whose albedo is only there to bounce light.

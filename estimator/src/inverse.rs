@@ -3,6 +3,7 @@
 //! Default solver: the light is non-negative radiance over a few hundred directions, each segment has one albedo, and
 //! the two are found in turn on per-segment sufficient statistics, so that no step touches a vertex.
 
+use crate::factorise::SCALE_SHARE;
 use crate::random::hash;
 use crate::sh;
 use crate::transfer::Transfer;
@@ -26,6 +27,9 @@ const PIECE: usize = 1024;
 const DARK_FLOOR: f64 = 0.15;
 /// No channel's colours are taken to be smaller than this share of the brightest channel's.
 const DARK_CHANNEL: f64 = 1e-3;
+/// Gloss that nobody has found yet, against the brightest segment's albedo and in units of the relative error of a lit
+/// colour: it is the same in all channels, so it makes dark ones worth little.
+const UNKNOWN_GLOSS: f64 = 0.5;
 /// Residuals beyond this many robust standard deviations count less (Huber).
 const HUBER: f64 = 1.5;
 /// Rounds of reweighting.
@@ -268,12 +272,13 @@ fn solve_channel(
     let brightest = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize].max_element());
     let least = DARK_CHANNEL * median(votes.iter().map(brightest).collect());
     let overall = median(votes.iter().map(color).collect()).max(least).max(1e-30);
-    // Relative weights: a lit colour errs in proportion to itself.
-    let relative = |v: &Vote, predicted: f64| {
+    // Relative weights: a lit colour errs in proportion to itself, and by gloss in proportion to its light.
+    let relative = |v: &Vote, predicted: f64, gloss: &[f64]| {
         let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
-        v.share * f64::from(observed.lit_weight[v.vertex as usize]).min(1.0) / (size * size)
+        let vertex = v.vertex as usize;
+        let seen = f64::from(observed.lit_weight[vertex]).min(1.0) * f64::from(observed.transfer.traced.trust[vertex]);
+        v.share * seen / (size * size * (1.0 + gloss[v.segment as usize]))
     };
-    let mut weights: Vec<f64> = votes.iter().map(|v| relative(v, color(v))).collect();
     let mut state = match start {
         Some(start) => Alternation {
             radiance: DVector::from_iterator(DIRECTIONS, start.radiance.iter().map(|r| r[channel])),
@@ -285,6 +290,8 @@ fn solve_channel(
             albedo: medians.iter().map(|m| m.max(1e-6 * overall) / overall * 0.5).collect(),
         },
     };
+    let gloss = unknown_gloss(&state.albedo, votes);
+    let mut weights: Vec<f64> = votes.iter().map(|v| relative(v, color(v), &gloss)).collect();
     let mut row = vec![0.0; k];
     let mut chosen = (start.map_or(PULLS[2], |s| s.pull[channel]), f64::INFINITY);
     let mut statistics = accumulate(observed, votes, &weights, k, channel);
@@ -307,14 +314,25 @@ fn solve_channel(
             let off: Vec<f64> =
                 votes.iter().zip(&predicted).map(|(v, p)| ((color(v) - p) / size(v, *p)).abs()).collect();
             let sigma = 1.4826 * median(off.clone()) + 1e-9;
+            let gloss = unknown_gloss(&state.albedo, votes);
             for ((w, v), (p, r)) in weights.iter_mut().zip(votes).zip(predicted.iter().zip(&off)) {
-                *w = relative(v, *p) * (HUBER * sigma / r.max(HUBER * sigma));
+                *w = relative(v, *p, &gloss) * (HUBER * sigma / r.max(HUBER * sigma));
             }
             statistics = accumulate(observed, votes, &weights, k, channel);
         }
     }
     chosen.1 = held_out(&statistics[1], basis, &state);
     finish(&statistics, basis, &state, chosen)
+}
+
+/// Variance that gloss which is not known adds to each segment's relative error, in units of its own variance.
+fn unknown_gloss(albedo: &[f64], votes: &[Vote]) -> Vec<f64> {
+    let mut seen = vec![0.0; albedo.len()];
+    votes.iter().for_each(|v| seen[v.segment as usize] += v.share);
+    let least = SCALE_SHARE * seen.iter().sum::<f64>();
+    let large = albedo.iter().zip(&seen).filter(|(_, n)| **n >= least).map(|(a, _)| *a);
+    let brightest = large.fold(0.0, f64::max);
+    albedo.iter().map(|a| (UNKNOWN_GLOSS * brightest / a.max(1e-6 * brightest)).powi(2).min(1e6)).collect()
 }
 
 /// Light and albedos on their way.

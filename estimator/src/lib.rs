@@ -28,6 +28,7 @@ mod surface;
 mod template;
 pub mod thickness;
 pub mod transfer;
+mod trust;
 pub mod witness;
 
 use crate::factorise::{Colors, Factorised, Settings, factorise};
@@ -98,7 +99,7 @@ pub fn estimate(
 
     // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
     let rays = plan.rays(&mesh, &scene, config);
-    let bands = if config.bands > 0 { config.bands as usize } else { sh::MAX_BANDS };
+    let bands = if config.bands > 0 { config.bands as usize } else { sh::AUTO_BANDS };
     let traced = if config.transfer == TransferChoice::Diffuse {
         transfer::unoccluded(&mesh, bands)
     } else {

@@ -180,6 +180,7 @@ mod tests {
             observations,
             offsets: (0..=n as u32).map(|i| 2 * i).collect(),
             decisions: Vec::new(),
+            dark_below: 0.004,
         }
     }
 

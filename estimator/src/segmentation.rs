@@ -18,8 +18,8 @@ const LEAST_CONCAVITY: f32 = 0.05;
 const LEAST_COLOR: f32 = 0.25;
 /// The same for relative differences of the shape diameter.
 const LEAST_THICKNESS: f32 = 0.05;
-/// ε of DBSCAN in median k-distances, rising.
-const EPSILONS: [f32; 5] = [2.0, 2.8, 4.0, 5.6, 8.0];
+/// ε of DBSCAN in median k-distances, rising: a glossy apple is that much noisier than the table that sets the median.
+const EPSILONS: [f32; 9] = [2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0, 22.0, 32.0];
 /// Passes of the edge-sharpening filter.
 const SHARPENINGS: usize = 3;
 /// Vertex without a segment.

@@ -4,6 +4,7 @@
 use crate::random::{CosineDirections, hash, unit};
 use crate::scene::Scene;
 use crate::sh;
+use crate::trust::trust;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Mesh;
@@ -36,6 +37,8 @@ pub struct Traced {
     pub blocked: Vec<f32>,
     /// Estimated error of the first five bands of `direct`, as a norm over them: `[vertex]`.
     pub error: Vec<f32>,
+    /// Weight of the vertex in the light's equations: little where its normal is doubtful.
+    pub trust: Vec<f32>,
     /// Rays per vertex.
     pub rays: u32,
     /// Hits: one corner of the triangle, drawn by its barycentric weight; those of vertex i are
@@ -77,6 +80,7 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
         direct,
         blocked: vec![0.0; mesh.positions.len()],
         error: vec![0.0; mesh.positions.len()],
+        trust: trust(mesh),
         rays: 0,
         offsets: vec![0; mesh.positions.len() + 1],
         corners: Vec::new(),
@@ -118,7 +122,7 @@ pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, rep
         offsets.extend(ends.iter().map(|e| start + e));
         corners.extend(block);
     }
-    Traced { bands, direct, blocked, error, rays, offsets, corners }
+    Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners }
 }
 
 /// Traces rays and forgets what they hit, for measuring how fast this machine is.

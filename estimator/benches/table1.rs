@@ -1,0 +1,120 @@
+//! Table 1 of the paper on this machine: one scene remeshed to the paper's five sizes. Figures are seconds of wall time.
+//!
+//! Needs a scene of posed pictures: `LUMISCAN_SHARED=<shared data> cargo bench -p estimator --bench table1`.
+
+// The paper's 3.14 seconds are no π.
+#![allow(clippy::expect_used, clippy::approx_constant)]
+
+use estimator::factorise::{Colors, Settings, factorise};
+use estimator::scene::Scene;
+use estimator::{Options, Progress, association, remesh, segmentation, sh, transfer};
+use firmware_config::{EstimatorConfig, SolverChoice};
+use glam::Vec3;
+use recordings::photos::import_photos;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Vertices, and the paper's seconds: diffuse, shade, gi, segmentation, iteration, total.
+const PAPER: [(usize, [f64; 6]); 5] = [
+    (10_371, [0.029, 0.780, 10.669, 0.048, 6.333, 17.050]),
+    (22_982, [0.099, 4.260, 76.990, 0.113, 10.090, 87.193]),
+    (34_817, [0.100, 3.140, 22.410, 0.145, 10.970, 33.525]),
+    (72_119, [0.212, 7.550, 112.603, 0.314, 15.993, 128.910]),
+    (229_059, [0.656, 32.887, 470.782, 1.109, 48.341, 502.232]),
+];
+/// Keyframes of the all-in run.
+const KEYFRAMES: usize = 20;
+/// Rays per vertex, the default.
+const RAYS: u32 = 128;
+
+struct Silent;
+impl Progress for Silent {
+    fn stage(&self, _: &'static str, _: f64) {}
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let start = Instant::now();
+    let made = work();
+    (made, start.elapsed().as_secs_f64())
+}
+
+/// Largest memory this process has held, in MiB. Sizes rise, so it is that of the size at hand.
+fn peak_mib() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    line.and_then(|l| l.trim().trim_end_matches(" kB").parse::<f64>().ok()).unwrap_or(f64::NAN) / 1024.0
+}
+
+/// Processor seconds of this process so far, in ticks of a hundredth: what a busy machine does not stretch.
+fn processor() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
+    (ticks(11) + ticks(12)) / 100.0
+}
+
+fn main() {
+    let Some(shared) = std::env::var_os("LUMISCAN_SHARED").map(PathBuf::from) else {
+        println!("skipped: LUMISCAN_SHARED is not set (it names the folder with truth/fruits)");
+        return;
+    };
+    let mut scan = import_photos(&shared.join("truth/fruits"), None).expect("a scan");
+    scan.keyframes.truncate(KEYFRAMES);
+    let given = scan.mesh.clone();
+    let row = |head: &str, times: &[f64]| {
+        println!("{head:<22}{}", times.iter().map(|t| format!("{t:>13.3}")).collect::<String>());
+    };
+    println!(
+        "{:<22}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}",
+        "vertices",
+        "diffuse",
+        "shade",
+        "gi",
+        "segmentation",
+        "iteration",
+        "total",
+        "association",
+        "all in",
+        "processor",
+        "peak MiB"
+    );
+    let mut all_in = Vec::new();
+    for (size, paper) in PAPER {
+        let mut config = EstimatorConfig { max_vertices: 2_000_000, rays: RAYS, ..EstimatorConfig::default() };
+        config.regularise = libm::sqrt(given.positions.len() as f64 / size as f64);
+        let mesh = remesh::regularise(&given, &config, scan.source);
+        let scene = Scene::new(&mesh);
+        let progress = Silent;
+        let (fields, association) =
+            timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &progress));
+        let (segment, segmentation) =
+            timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
+        let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::AUTO_BANDS));
+        let (traced, shade) = timed(|| transfer::trace(&mesh, &scene, sh::AUTO_BANDS, RAYS, config.seed, &|_| ()));
+        let (_, bounces) = timed(|| transfer::bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0));
+        let gi = shade + bounces;
+        let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
+        let colors =
+            Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
+        let settings = Settings { gi: true, bands: sh::AUTO_BANDS, bounces: 0, solver: SolverChoice::Robust };
+        let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &settings, None));
+        drop(fields);
+        // All in: the scan as fusion would give it, of this size.
+        scan.mesh = mesh.clone();
+        let options = Options { budget: Duration::from_secs(3600), rounds: None };
+        let config = EstimatorConfig { regularise: 1.0, ..config };
+        let before = processor();
+        let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &progress).expect("an answer"));
+        let busy = processor() - before;
+        all_in.push((mesh.positions.len() as f64, busy));
+        let total = gi + segmentation + iteration;
+        row(
+            &format!("{}", mesh.positions.len()),
+            &[diffuse, shade, gi, segmentation, iteration, total, association, whole, busy, peak_mib()],
+        );
+        row(&format!("  paper: {size}"), &paper);
+    }
+    let (first, last) = (all_in[0], all_in[all_in.len() - 1]);
+    println!("growth of processor time, all in: n^{:.2}", libm::log(last.1 / first.1) / libm::log(last.0 / first.0));
+}
