@@ -4,6 +4,7 @@ use super::environment::Environment;
 use super::object::{Material, Object};
 use super::remove::{Adjacency, Cut, cut, inpaint};
 use super::seen::Backdrop;
+use super::texture::carry_on;
 use super::world::{Ball, Body, Side, World};
 use crate::random::hash;
 use firmware_config::RealityConfig;
@@ -17,6 +18,8 @@ const GLOSS_ALPHA: f32 = 0.2;
 pub const SMALLEST_REACH: f32 = 1e-3;
 /// A surface that gets less than this share of the light it would get in the open is not asked for its colour.
 const DARK: f32 = 0.1;
+/// Rounds of averaging over neighbours of the level between albedo × light and what was seen.
+const LEVEL_SWEEPS: usize = 8;
 /// Things inserted keep their light per vertex: edges longer than this many edges of the scene are split.
 const LONGEST_EDGE: f32 = 3.0;
 /// Triangles up to which they are split.
@@ -120,26 +123,12 @@ pub fn change(
 /// A ball around every connected piece: a cone towards each wastes no ray on what is between them.
 fn pieces(mesh: &recordings::types::Mesh) -> Vec<Ball> {
     let adjacency = Adjacency::new(mesh.positions.len(), &mesh.triangles);
-    let mut piece = vec![usize::MAX; mesh.positions.len()];
+    let mut done = vec![false; mesh.positions.len()];
     let mut members: Vec<Vec<usize>> = Vec::new();
-    for start in 0..piece.len() {
-        if piece[start] != usize::MAX {
-            continue;
+    for start in 0..done.len() {
+        if !done[start] {
+            members.push(adjacency.patch(start, &mut done));
         }
-        let id = members.len();
-        let mut list = vec![start];
-        piece[start] = id;
-        let mut next = 0;
-        while next < list.len() {
-            for &n in adjacency.of(list[next]) {
-                if piece[n as usize] == usize::MAX {
-                    piece[n as usize] = id;
-                    list.push(n as usize);
-                }
-            }
-            next += 1;
-        }
-        members.push(list);
     }
     let ball = |list: &[usize]| Ball::around(list.iter().map(|&v| mesh.positions[v]));
     if members.len() > 8 {
@@ -178,15 +167,27 @@ fn light(
     let open = irradiance.iter().fold(Vec3::ZERO, |m, e| m.max(*e)).max_element();
 
     // Colour is asked only where it was seen in enough light, and not where the removed thing touches.
+    let removed = world.removed.is_some();
     let near = near_removed(&world, config.contact_edges as f32 * world.kept.bvh.median_edge());
     let known: Vec<bool> = (0..n)
         .map(|v| v < first_patch && seen[v] && (!reached[v] || (irradiance[v].min_element() > DARK * open && !near[v])))
         .collect();
     let asked: Vec<bool> = (0..n).map(|v| known[v] && reached[v]).collect();
-    let mut reflectance: Vec<Vec3> = (0..n)
-        .map(|v| if asked[v] { world.kept.radiance[v] / irradiance[v].max(Vec3::splat(1e-12)) } else { Vec3::ZERO })
+    // Reflectance is albedo, texture continued, times a level that varies slowly and so is told by many vertices.
+    let mut albedo = world.kept.object.color.clone();
+    if removed {
+        carry_on(&mut albedo, &known, &world.kept.object.mesh, adjacency, world.kept.bvh.median_edge());
+    }
+    let mut level: Vec<Vec3> = (0..n)
+        .map(|v| {
+            let expected = (albedo[v] * irradiance[v]).max(Vec3::splat(1e-12));
+            let level = world.kept.radiance[v] / expected;
+            if asked[v] { level.clamp(Vec3::splat(0.2), Vec3::splat(5.0)) } else { Vec3::ONE }
+        })
         .collect();
-    inpaint(&mut reflectance, &asked, adjacency);
+    smooth(&mut level, &asked, adjacency);
+    inpaint(&mut level, &asked, adjacency);
+    let reflectance: Vec<Vec3> = albedo.iter().zip(&level).map(|(a, l)| *a * *l).collect();
     let filled: Vec<bool> = (0..n).map(|v| reached[v] && !known[v]).collect();
 
     light_inserted(&mut world, config, 1);
@@ -208,6 +209,19 @@ fn light(
     world.kept.after = after;
     light_inserted(&mut world, config, 2);
     Changed { world, irradiance, reflectance, reached, filled, backdrop: Backdrop::default() }
+}
+
+/// Averages `values` over neighbours that are `known`, again and again.
+fn smooth(values: &mut [Vec3], known: &[bool], adjacency: &Adjacency) {
+    for _ in 0..LEVEL_SWEEPS {
+        let mean = |v: usize| {
+            let around = adjacency.of(v).iter().map(|&i| i as usize).filter(|&i| known[i]);
+            let (sum, count) = around.fold((values[v], 1.0), |(s, c), i| (s + values[i], c + 1.0));
+            if known[v] { sum / count } else { values[v] }
+        };
+        let next: Vec<Vec3> = (0..values.len()).into_par_iter().map(mean).collect();
+        values.copy_from_slice(&next);
+    }
 }
 
 /// (E + ΔE) / E per channel.

@@ -299,7 +299,7 @@ pub(crate) fn decode(bytes: Vec<u8>) -> Result<recordings::types::RgbImage, Stri
 }
 
 /// Width and height from the header of a PNG or JPEG.
-fn picture_size(b: &[u8]) -> Option<(u32, u32, ColorEncoding)> {
+pub(crate) fn picture_size(b: &[u8]) -> Option<(u32, u32, ColorEncoding)> {
     let be = |at: usize, n: usize| Some(b.get(at..at + n)?.iter().fold(0u32, |x, v| x << 8 | u32::from(*v)));
     if b.starts_with(b"\x89PNG\r\n\x1a\n") {
         return Some((be(16, 4)?, be(20, 4)?, ColorEncoding::Png));

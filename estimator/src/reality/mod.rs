@@ -13,6 +13,7 @@ pub mod relight;
 pub mod remove;
 pub mod sampling;
 pub mod seen;
+pub mod texture;
 pub mod view;
 pub mod world;
 

@@ -13,6 +13,8 @@ use std::path::Path;
 
 /// Widest panorama that is accepted, in pixels.
 const WIDEST: usize = 16_384;
+/// Widest PNG or JPEG, which is decoded as a whole: 100 MB.
+const WIDEST_PICTURE: u32 = 8192;
 /// Widest that is kept: finer than the texels of an [`Environment`].
 const KEPT: usize = 1024;
 /// Largest file, in bytes.
@@ -102,6 +104,12 @@ impl Panorama {
         } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
             openexr(&bytes)
         } else {
+            if let Some((width, height, _)) = gltf::picture_size(&bytes) {
+                Reduced::new(width as usize, height as usize)?;
+                if width > WIDEST_PICTURE {
+                    return Err(format!("is {width} pixels wide, more than {WIDEST_PICTURE}; scale it down first"));
+                }
+            }
             let image = gltf::decode(bytes).map_err(|e| format!("is no panorama that can be read: {e}"))?;
             let (width, height) = (image.width as usize, image.height as usize);
             let table = Response::Srgb.linear_table();
@@ -352,6 +360,8 @@ mod tests {
         assert!(say(b"#?RADIANCE\n\n-Y 4 +X 9\n".to_vec()).contains("9x4"));
         assert!(say(b"#?RADIANCE\n\n-Y 20000 +X 40000\n".to_vec()).contains("more than"));
         assert!(say(b"#?RADIANCE\n\n-Y 2 +X 4\nabc".to_vec()).contains("truncated"));
+        let png = [&b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"[..], &16384u32.to_be_bytes(), &8192u32.to_be_bytes()].concat();
+        assert!(say(png).contains("scale it down"));
         assert!(Panorama::new(2, vec![Vec3::NAN; 2]).unwrap_err().contains("NaN"));
         assert!(Panorama::new(2, vec![Vec3::NEG_ONE; 2]).unwrap_err().contains("negative"));
     }

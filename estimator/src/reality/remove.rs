@@ -57,6 +57,23 @@ impl Adjacency {
         &self.neighbours[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
     }
 
+    /// What is not yet `done` and connected to `start`; all of it is done then.
+    pub fn patch(&self, start: usize, done: &mut [bool]) -> Vec<usize> {
+        let mut list = vec![start];
+        done[start] = true;
+        let mut next = 0;
+        while next < list.len() {
+            for &n in self.of(list[next]) {
+                if !done[n as usize] {
+                    done[n as usize] = true;
+                    list.push(n as usize);
+                }
+            }
+            next += 1;
+        }
+        list
+    }
+
     /// Everything connected to `start` through vertices that `may` be passed.
     fn flood(&self, start: usize, may: impl Fn(usize) -> bool) -> Vec<bool> {
         let mut inside = vec![false; self.offsets.len() - 1];
