@@ -166,7 +166,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
     let known = surroundings(&estimate, &scene, &pictures);
-    let around = (infer(&estimate.light, &known), Backdrop::new(&estimate, pictures));
+    let around = (infer(&estimate.light, &known), Backdrop::new(&estimate, pictures, &known));
     let changed = change(&estimate, around, &gone, &objects, &config);
 
     let started = Instant::now();

@@ -18,7 +18,7 @@ use std::f32::consts::TAU;
 
 /// Ratios nearer to 1 than this leave an 8-bit value as it is.
 const NO_CHANGE: f32 = 1e-3;
-/// Beside something removed, light that grows by these factors fades from the photo's colour to the model's.
+/// Where light grows by these factors, the photo (mostly noise, contact and blur there) fades to the model.
 const DEEP: [f32; 2] = [1.5, 2.2];
 /// Half width in pixels of the filter over the change of light, which varies slowly along a surface.
 const FILTER: i32 = 2;
@@ -145,7 +145,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
             // Where light changes by much, what the photo shows is mostly the contact itself: its surface is rendered.
             let deep =
                 light.ratio[i].map_or(0.0, |r| ((r.max_element() - DEEP[0]) / (DEEP[1] - DEEP[0])).clamp(0.0, 1.0));
-            let share = if uncovered[i] > 0.0 { uncovered[i].max(deep) } else { 0.0 };
+            let share = uncovered[i].max(deep);
             if let Some(ratio) = light.ratio[i].filter(|r| (*r - 1.0).abs().max_element() > NO_CHANGE) {
                 value *= ratio;
                 touched = true;
@@ -208,7 +208,7 @@ fn uncovered(ground: &[Ground], width: usize, height: usize, margin: u32) -> Vec
 struct Lighting {
     /// Irradiance after / before; `None` where the change does not reach.
     ratio: Vec<Option<Vec3>>,
-    /// Irradiance over π after, where the surface was uncovered.
+    /// Irradiance over π after, where the surface was uncovered or its light changes.
     irradiance: Vec<Vec3>,
 }
 
@@ -244,6 +244,7 @@ fn lighting(
             }
             let before = interpolate(&changed.irradiance, triangles[hit.triangle as usize], hit);
             let change = world.change(spot, config.pixel_change_rays, seed);
+            let after = if uncovered[i] > 0.0 { after } else { (before + change).max(Vec3::ZERO) };
             (Some(ratio(before, change)), after)
         })
         .collect();
@@ -276,7 +277,7 @@ fn lighting(
                     if let Some(ratio) = raw[j].0 {
                         (r, wr) = (r + ratio, wr + 1.0);
                     }
-                    if uncovered[j] > 0.0 {
+                    if uncovered[j] > 0.0 || raw[j].0.is_some() {
                         (e, we) = (e + raw[j].1, we + 1.0);
                     }
                 }

@@ -13,6 +13,10 @@ const STEP: u32 = 3;
 const CLEARANCE: f64 = 4.0;
 /// 8-bit values from here on are clipped: at least this much light.
 const CLIPPED: u8 = 252;
+/// Directions that what nobody saw is continued from, at most.
+const CONTINUED_FROM: usize = 400;
+/// How fast their influence falls off: to 1/e at 18°.
+const CONTINUED_SHARPNESS: f32 = 20.0;
 /// Keyframes that differ by this share about a direction saw something near, not the surroundings.
 const SPREAD: f32 = 0.3;
 
@@ -39,18 +43,21 @@ pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
 pub struct Backdrop {
     views: Vec<(ResultKeyframe, RgbImage)>,
     table: Vec<f32>,
+    /// What is likely where none looked.
+    continued: Option<Environment>,
 }
 
 impl Backdrop {
     /// From pictures, one a keyframe (`None` where there is none).
     #[must_use]
-    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>) -> Self {
+    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[Known]) -> Self {
         let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
-        Self { views, table: estimate.response.linear_table().to_vec() }
+        Self { views, table: estimate.response.linear_table().to_vec(), continued: continued(known) }
     }
 
     /// Radiance from beyond the scan in a unit direction: the middle of what the keyframes saw there past every surface
-    /// that `blocks` a ray (origin, direction), per channel; `None` where none looked.
+    /// that `blocks` a ray (origin, direction), per channel; where none looked, continued from
+    /// where they did. `None` if nowhere.
     #[must_use]
     pub fn radiance(&self, direction: Vec3, blocks: impl Fn(Vec3, Vec3) -> bool) -> Option<Vec3> {
         let seen: Vec<Vec3> = self.views.iter().filter_map(|(k, p)| self.from(k, p, direction, &blocks)).collect();
@@ -60,7 +67,10 @@ impl Backdrop {
             // Of an even number, both in the middle.
             (x[(x.len() - 1) / 2] + x[x.len() / 2]) * 0.5
         };
-        (!seen.is_empty()).then(|| Vec3::new(middle(0), middle(1), middle(2)))
+        if seen.is_empty() {
+            return self.continued.as_ref().map(|e| e.radiance(direction));
+        }
+        Some(Vec3::new(middle(0), middle(1), middle(2)))
     }
 
     fn from(
@@ -89,6 +99,27 @@ impl Backdrop {
         let linear = at(x, y).lerp(at(x + 1, y), fx).lerp(at(x, y + 1).lerp(at(x + 1, y + 1), fx), fy);
         Some(linear / Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9)))
     }
+}
+
+/// What was seen, continued smoothly into all directions.
+fn continued(known: &[Known]) -> Option<Environment> {
+    let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].trust > 0.5).collect();
+    let few: Vec<(Vec3, Vec3)> = seen
+        .iter()
+        .step_by(seen.len().div_ceil(CONTINUED_FROM).max(1))
+        .map(|&i| (super::environment::direction(i), known[i].radiance))
+        .collect();
+    (!few.is_empty()).then(|| {
+        Environment::from_fn(|d| {
+            // Far from everything seen all weights are small, and alike.
+            let weighted = few.iter().map(|(at, r)| {
+                let w = 1e-6 + libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
+                (*r * w, w)
+            });
+            let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
+            sum / weight
+        })
+    })
 }
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
