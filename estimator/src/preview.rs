@@ -70,10 +70,10 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         (format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands()), light(result)),
     ];
     let height = panels[0].1.height;
-    panels.extend(witness(scan, result)?);
     let balls =
         spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
     panels.push(("Grey, silver, mirror in this light".into(), balls));
+    panels.extend(witness(scan, result)?);
     compose(&panels, &facts(scan, result), height)
 }
 

@@ -13,7 +13,7 @@ const GREY: f64 = 0.5;
 /// GGX width of the silver ball.
 const SILVER_ALPHA: f32 = 0.3;
 /// Rays for its reflection.
-const SILVER_RAYS: u32 = 64;
+const SILVER_RAYS: u32 = 256;
 /// Bands of what a matt surface can tell.
 const MATT_BANDS: usize = 9;
 
