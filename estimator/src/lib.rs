@@ -8,6 +8,7 @@ pub mod factorise;
 mod graph;
 pub mod inverse;
 pub mod literal;
+mod material;
 mod picture;
 pub mod plan;
 pub mod pose;

@@ -2,6 +2,7 @@
 
 use crate::association::Association;
 use crate::factorise::{Colors, Factorised, Settings, factorise};
+use crate::material;
 use crate::scene::Scene;
 use crate::specular::{self, Gloss, Reflection};
 use glam::Vec3;
@@ -88,6 +89,7 @@ pub fn refit(
         return (found, matte, decision("none", evidence));
     };
     fields.lit_color = clean;
+    let best_gloss = material::pooled(mesh, segment, &found_clean.solution.albedo, &best_gloss);
     (found_clean, best_gloss, decision("lit colours cleaned of gloss and factorised once more", evidence))
 }
 

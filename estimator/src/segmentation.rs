@@ -93,7 +93,7 @@ fn lab_curve(t: f32) -> f32 {
 }
 
 /// CIELAB (D65) of linear Rec. 709.
-fn lab(c: Vec3) -> Vec3 {
+pub(crate) fn lab(c: Vec3) -> Vec3 {
     let x = c.dot(Vec3::new(0.4124, 0.3576, 0.1805)) / 0.9505;
     let y = luminance(c);
     let z = c.dot(Vec3::new(0.0193, 0.1192, 0.9505)) / 1.089;
@@ -270,43 +270,4 @@ fn typical(k_distance: &[f32]) -> f32 {
     }
     let middle = finite.len() / 2;
     finite.select_nth_unstable_by(middle, f32::total_cmp).1.max(f32::MIN_POSITIVE)
-}
-
-/// Joins segments whose albedos differ by less than `tolerance` in CIELAB, wherever they lie: the two ends of a striped
-/// ball are one material. Larger segments take in smaller ones; the result is numbered like [`segment`]'s.
-#[must_use]
-pub fn join_alike(segment: &[u32], albedo: &[Vec3], tolerance: f32) -> Vec<u32> {
-    let mut sizes = vec![0_u32; albedo.len()];
-    for &s in segment {
-        sizes[s as usize] += 1;
-    }
-    let mut order: Vec<usize> = (0..albedo.len()).collect();
-    order.sort_by_key(|&s| (std::cmp::Reverse(sizes[s]), s));
-    let labs: Vec<Vec3> = albedo.iter().map(|a| lab(a.max(Vec3::ZERO))).collect();
-    let mut kept: Vec<usize> = Vec::new();
-    let mut names: Vec<u32> = (0..albedo.len() as u32).collect();
-    for s in order {
-        let gap = |k: &usize| labs[*k].distance(labs[s]);
-        let nearest = kept.iter().copied().min_by(|a, b| gap(a).total_cmp(&gap(b)));
-        match nearest.filter(|k| gap(k) < tolerance) {
-            Some(k) => names[s] = k as u32,
-            None => kept.push(s),
-        }
-    }
-    let mut joined: Vec<u32> = segment.iter().map(|&s| names[s as usize]).collect();
-    regions::renumber(&mut joined);
-    joined
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn alike_segments_join_and_others_do_not() {
-        let red = Vec3::new(0.55, 0.09, 0.07);
-        let albedo = [red, Vec3::new(0.75, 0.7, 0.58), red * 1.03, Vec3::new(0.2, 0.3, 0.4)];
-        assert_eq!(join_alike(&[3, 0, 0, 1, 2, 1, 1], &albedo, 5.0), [0, 1, 1, 2, 1, 2, 2]);
-        assert_eq!(join_alike(&[], &[], 5.0), Vec::<u32>::new());
-    }
 }

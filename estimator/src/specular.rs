@@ -51,9 +51,9 @@ pub struct Gloss {
     /// True if the weight stands out of its error.
     pub significant: bool,
     /// The lobe that explains the changes between views best, as an index into the widths …
-    lobe: usize,
+    pub(crate) lobe: usize,
     /// … and its weight. A rough surface blurs the light; with a mirror in its place the weight comes out too small.
-    lobe_weight: f64,
+    pub(crate) lobe_weight: f64,
 }
 
 impl Gloss {
