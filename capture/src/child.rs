@@ -62,6 +62,9 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
     if let Some(n) = effort.rounds {
         command.arg("--rounds").arg(n.to_string());
     }
+    if let Some(point) = effort.quality {
+        command.arg("--quality").arg(point.name());
+    }
     if let Some(n) = effort.threads {
         command.arg("--threads").arg(n.to_string());
     }

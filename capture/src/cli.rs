@@ -65,6 +65,8 @@ pub enum Command {
     Record(Record),
     /// Say what a recording, a scan or a result holds.
     Inspect(Inspect),
+    /// Measure speed against accuracy on scenes with known truth.
+    Trade(Trade),
 }
 
 /// Where settings come from.
@@ -78,6 +80,39 @@ pub struct Settings {
     pub set: Vec<String>,
 }
 
+/// Named points of the trade of speed against accuracy (`lumiscan trade` measures them).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum QualityPoint {
+    /// A quick look: few rays, bands and bounces, two rounds of pose refinement.
+    Draft,
+    /// What the scene requires.
+    Standard,
+    /// Everything that still helps a little.
+    Best,
+}
+
+impl QualityPoint {
+    /// As settings name it.
+    #[must_use]
+    pub fn setting(self) -> firmware_config::Quality {
+        match self {
+            Self::Draft => firmware_config::Quality::Draft,
+            Self::Standard => firmware_config::Quality::Standard,
+            Self::Best => firmware_config::Quality::Best,
+        }
+    }
+
+    /// As the command line does.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Standard => "standard",
+            Self::Best => "best",
+        }
+    }
+}
+
 /// What a run of the estimator may spend.
 #[derive(Debug, Args)]
 pub struct Effort {
@@ -87,6 +122,9 @@ pub struct Effort {
     /// Fixed number of ray rounds: replaces the clock, and the result is the same, byte for byte, on every run.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: Option<u32>,
+    /// Point of the trade of speed against accuracy, where a setting leaves the choice [default: standard].
+    #[arg(long, value_name = "POINT")]
+    pub quality: Option<QualityPoint>,
     /// Worker threads [default: one a processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
@@ -246,6 +284,29 @@ Examples:
 pub struct Inspect {
     /// A recording, a scan or a result; what it is, is read from its contents.
     pub file: PathBuf,
+}
+
+/// `lumiscan trade`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Prints a table a scene, how `auto` fares against its rule, and the paths of the table (CSV) and the plot (PNG). A scene is a
+folder of posed photos with mesh.ply and truth/{albedo,lit_color}.npy, or a recording X.lrec with X_truth/ beside it.
+
+Examples:
+  lumiscan trade -o trade.csv                         the bundled tabletop
+  lumiscan trade ~/truth/ball ~/truth/bunny -o trade.csv")]
+pub struct Trade {
+    /// Scenes [default: recordings/data/tabletop.lrec].
+    pub scenes: Vec<PathBuf>,
+    /// The table; the plot gets the same name with .png.
+    #[arg(short, long, value_name = "FILE", default_value = "trade.csv")]
+    pub output: PathBuf,
+    /// Seconds a scene may take; settings that are left then are not measured.
+    #[arg(long, value_name = "S", default_value = "600", value_parser = seconds)]
+    pub limit: f64,
+    /// Worker threads [default: one a processor].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
 }
 
 /// `lumiscan capture`.

@@ -206,6 +206,7 @@ impl Daemon<'_> {
         let effort = Effort {
             budget: daemon.budget_s,
             rounds: None,
+            quality: None,
             threads: self.args.threads,
             memory: (daemon.estimator_limit_mb > 0).then_some(daemon.estimator_limit_mb),
         };

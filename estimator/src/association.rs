@@ -42,6 +42,7 @@ pub struct View {
 }
 
 /// The surface light field and what follows from it.
+#[derive(Clone)]
 pub struct Association {
     /// f: robust lit colour per vertex, linear RGB.
     pub lit_color: Vec<Vec3>,
@@ -161,7 +162,7 @@ impl Rules {
     }
 }
 
-/// Runs data association (Eqs. 2–5).
+/// Runs data association (Eqs. 2–5) until it is done.
 pub fn associate(
     mesh: &Mesh,
     scene: &Scene,
@@ -169,6 +170,30 @@ pub fn associate(
     response: &Response,
     config: &EstimatorConfig,
     progress: &dyn Progress,
+) -> Association {
+    let effort = Effort { rounds: config.association_rounds, stride: 1, go_on: &mut |_| true };
+    associate_within(mesh, scene, keyframes, response, config, progress, effort)
+}
+
+/// What association may spend.
+pub struct Effort<'a> {
+    /// Rounds of pose refinement at most.
+    pub rounds: u32,
+    /// Every so manieth keyframe is looked at.
+    pub stride: usize,
+    /// Asked before every round.
+    pub go_on: &'a mut dyn FnMut(u32) -> bool,
+}
+
+/// Runs data association (Eqs. 2–5) with so much effort.
+pub fn associate_within(
+    mesh: &Mesh,
+    scene: &Scene,
+    keyframes: &[Keyframe],
+    response: &Response,
+    config: &EstimatorConfig,
+    progress: &dyn Progress,
+    effort: Effort,
 ) -> Association {
     let graph = Graph::new(mesh);
     let edge = scene.median_edge();
@@ -181,20 +206,24 @@ pub fn associate(
         table: linear_table(response),
         clipped: config.clipped_from.min(255) as u8,
     };
-    let pictures: Vec<Option<Picture>> = keyframes.par_iter().map(|k| Picture::new(&k.color, &k.camera)).collect();
+    let pictures: Vec<Option<Picture>> = keyframes
+        .par_iter()
+        .enumerate()
+        .map(|(j, k)| if j % effort.stride == 0 { Picture::new(&k.color, &k.camera) } else { None })
+        .collect();
     let mut views: Vec<View> = keyframes
         .iter()
         .map(|k| View { world_from_camera: k.world_from_camera, gain: [1.0; 3], residual_px: 0.0 })
         .collect();
-    let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2;
-    let rounds = if refine { config.association_rounds.max(1) } else { 1 };
+    let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
+    let rounds = if refine { effort.rounds } else { 1 };
     let exposures = |field: &LightField| {
         exposure::solve(field, mesh, edge, keyframes.len(), config.exposure, config.dark_below as f32)
     };
     let mut tracker = pose::Tracker::new(keyframes);
     for round in 0..rounds {
         progress.stage("association", f64::from(round) / f64::from(rounds));
-        if !refine {
+        if !refine || !(effort.go_on)(round) {
             break;
         }
         let relaxed = f64::from(round) / f64::from(rounds);

@@ -21,6 +21,8 @@ const FULL_WEIGHT: f64 = 20.0;
 /// of all) deviate more, that is the measure.
 const DIFFUSE_LOG: f64 = 0.02;
 const BETTER_SHARE: f64 = 0.25;
+/// A tolerance that nothing exceeds.
+const EVERYTHING: f64 = 1e12;
 /// Rounds of reweighting.
 const ROUNDS: usize = 15;
 
@@ -66,14 +68,32 @@ pub fn solve(
             let [none, one, three] =
                 [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l, scale));
             let use_rgb = three < 0.9 * one;
+            // No gains at all, if gains predict the held-out patches no better.
+            let use_none = none <= one && !use_rgb;
             let decision = Decision {
                 name: "exposure".into(),
-                choice: if use_rgb { "rgb" } else { "scalar" }.into(),
+                choice: if use_rgb {
+                    "rgb"
+                } else if use_none {
+                    "none"
+                } else {
+                    "scalar"
+                }
+                .into(),
                 evidence: format!(
                     "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
                 ),
-                next_level: if use_rgb { String::new() } else { format!("rgb gains: {three:.4}") },
+                next_level: if use_rgb {
+                    String::new()
+                } else if use_none {
+                    format!("one gain a keyframe: {one:.4}")
+                } else {
+                    format!("rgb gains: {three:.4}")
+                },
             };
+            if use_none {
+                return (neutral, Some(decision));
+            }
             (fit(&all, use_rgb), Some(decision))
         }
     };
@@ -219,14 +239,14 @@ fn agreed(patches: &[&Patch], keyframes: usize) -> Vec<[f64; 3]> {
     let mut groups: Vec<Vec<&Patch>> = vec![patches.to_vec()];
     groups.extend((0..6).map(|f| patches.iter().copied().filter(|p| p.facing == f).collect()));
     groups.extend(color_groups(patches));
-    let candidates: Vec<Vec<[f64; 3]>> = groups
+    let none = vec![[0.0; 3]; keyframes];
+    let mut candidates: Vec<Vec<[f64; 3]>> = groups
         .par_iter()
         .filter(|g| !g.is_empty())
-        .map(|g| {
-            let start = refine(g, vec![[0.0; 3]; keyframes], false);
-            refine(patches, start, false)
-        })
+        .map(|g| refine(patches, refine(g, none.clone(), false), false))
         .collect();
+    // Exposures far apart are beyond what any tolerance reaches from nothing: plain least squares takes them all.
+    candidates.push(refine(patches, reweighted(patches, &none, EVERYTHING, false), false));
     let scale = candidates.iter().map(|c| tolerance(patches, c)).fold(f64::INFINITY, f64::min);
     let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
     let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
@@ -277,40 +297,8 @@ fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
 
 /// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
 fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 3]> {
-    let n = gains.len();
     for _ in 0..ROUNDS {
-        let tolerance = tolerance(patches, &gains);
-        let mut matrix = DMatrix::<f64>::zeros(n, n);
-        let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
-        for p in patches {
-            let deviations = p.deviations(&gains);
-            // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
-            let (spread, _) = p.spread(&deviations);
-            let trust = tolerance / (tolerance + spread);
-            let weights: Vec<f64> = p
-                .weights
-                .iter()
-                .zip(&deviations)
-                .map(|(w, d)| {
-                    let x = tolerance / (tolerance + mean_square(d));
-                    w * trust * trust * x * x
-                })
-                .collect();
-            let total: f64 = weights.iter().sum::<f64>().max(1e-12);
-            let mean: [f64; 3] =
-                std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);
-            for (a, (wa, log)) in p.keyframes.iter().zip(weights.iter().zip(&p.logs)) {
-                let i = *a as usize;
-                matrix[(i, i)] += wa;
-                for ((r, l), m) in right.iter_mut().zip(log).zip(&mean) {
-                    r[i] += wa * (l - m);
-                }
-                for (b, wb) in p.keyframes.iter().zip(&weights) {
-                    matrix[(i, *b as usize)] -= wa * wb / total;
-                }
-            }
-        }
-        let next = solve_centred(matrix, &right, rgb);
+        let next = reweighted(patches, &gains, tolerance(patches, &gains), rgb);
         let moved = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         gains = next;
         if moved < 1e-5 {
@@ -318,6 +306,42 @@ fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 
         }
     }
     gains
+}
+
+/// One round of it: weights from the deviations at `gains`.
+fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool) -> Vec<[f64; 3]> {
+    let n = gains.len();
+    let mut matrix = DMatrix::<f64>::zeros(n, n);
+    let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
+    for p in patches {
+        let deviations = p.deviations(gains);
+        // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
+        let (spread, _) = p.spread(&deviations);
+        let trust = tolerance / (tolerance + spread);
+        let weights: Vec<f64> = p
+            .weights
+            .iter()
+            .zip(&deviations)
+            .map(|(w, d)| {
+                let x = tolerance / (tolerance + mean_square(d));
+                w * trust * trust * x * x
+            })
+            .collect();
+        let total: f64 = weights.iter().sum::<f64>().max(1e-12);
+        let mean: [f64; 3] =
+            std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);
+        for (a, (wa, log)) in p.keyframes.iter().zip(weights.iter().zip(&p.logs)) {
+            let i = *a as usize;
+            matrix[(i, i)] += wa;
+            for ((r, l), m) in right.iter_mut().zip(log).zip(&mean) {
+                r[i] += wa * (l - m);
+            }
+            for (b, wb) in p.keyframes.iter().zip(&weights) {
+                matrix[(i, *b as usize)] -= wa * wb / total;
+            }
+        }
+    }
+    solve_centred(matrix, &right, rgb)
 }
 
 fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool) -> Vec<[f64; 3]> {

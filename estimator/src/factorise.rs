@@ -127,6 +127,22 @@ pub fn factorise(
     Factorised { transfer, solution, detail, irradiance }
 }
 
+/// What a solution under a first transfer says, as a start for [`factorise`].
+#[must_use]
+pub fn start_from(transfer: &Transfer, colors: &Colors, mut solution: Solution) -> (Solution, Detail) {
+    fix_scale(&mut solution, colors);
+    let irradiance = transfer.irradiance(&solution.light);
+    let known = Known {
+        lit_color: colors.lit_color,
+        lit_weight: colors.lit_weight,
+        irradiance: &irradiance,
+        transfer_error: &relative_error(&transfer.traced),
+        segment: colors.segment,
+    };
+    let detail = albedo::detail(&known, &solution.albedo);
+    (solution, detail)
+}
+
 /// Applies [`SCALE_RULE`]; returns the factors that the albedos were multiplied by.
 fn fix_scale(solution: &mut Solution, colors: &Colors) -> Vec3 {
     let mut scale = Vec3::ONE;

@@ -199,10 +199,16 @@ fn votes(observed: &Observed) -> Vec<Vote> {
             vertex: i as u32,
             segment,
             share: stride as f64,
-            held_out: hash(i as u32 / FOLD_BLOCK, 0xf01d).is_multiple_of(FOLDS),
+            held_out: held_out_block(i as u32).is_some(),
         }));
     }
     votes
+}
+
+/// The block of vertices that is held out, if this vertex is in one.
+pub(crate) fn held_out_block(vertex: u32) -> Option<u32> {
+    let block = vertex / FOLD_BLOCK;
+    hash(block, 0xf01d).is_multiple_of(FOLDS).then_some(block)
 }
 
 /// Statistics of every segment: those that are fitted, and those held out.

@@ -2,6 +2,8 @@
 
 pub mod albedo;
 pub mod association;
+mod cost;
+pub mod distant;
 pub mod export;
 pub mod exposure;
 pub mod factorise;
@@ -16,29 +18,30 @@ pub mod preview;
 pub mod random;
 mod raster;
 pub mod reality;
-mod refit;
+pub mod refit;
 mod regions;
 pub mod remesh;
 mod response;
 mod robust;
 pub mod scene;
 pub mod segmentation;
+pub mod select;
 pub mod sh;
 pub mod specular;
+pub mod stages;
 mod surface;
 mod template;
 pub mod thickness;
+pub mod trade;
 pub mod transfer;
 mod trust;
 pub mod witness;
 
-use crate::factorise::{Colors, Factorised, Settings, factorise};
-use crate::plan::Plan;
-use crate::scene::Scene;
+use crate::factorise::factorise;
+use crate::plan::{Machine, Plan, WallClock};
 use crate::specular::Gloss;
-use firmware_config::{EstimatorConfig, Switch, TransferChoice};
-use glam::Vec3;
-use recordings::result::{Decision, Estimate, Light, ResultKeyframe, Segment};
+use firmware_config::{EstimatorConfig, Switch};
+use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Arc;
 use std::time::Duration;
@@ -66,7 +69,7 @@ pub trait Progress: Sync {
     fn stage(&self, name: &'static str, fraction: f64);
 }
 
-/// Estimates light and materials. Reads like the paper's section list.
+/// Estimates light and materials on this machine.
 ///
 /// # Errors
 /// The scan is unusable: no vertices, or no keyframe that can be read.
@@ -76,159 +79,75 @@ pub fn estimate(
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
-    let mut plan = Plan::new(options);
-    let mut decisions = Vec::new();
+    estimate_on(&WallClock::start(), scan, config, options, progress)
+}
 
-    // §3.1: a regular mesh, and the keyframes' colours on it (Eqs. 2–5).
-    progress.stage("mesh", 0.0);
-    let mesh = remesh::regularise(&scan.mesh, config, scan.source);
-    let scene = Scene::new(&mesh);
-    usable(&mesh)?;
-    let response = scan.sensor.response;
-    let mut fields = association::associate(&mesh, &scene, &scan.keyframes, &response, config, progress);
-    decisions.append(&mut fields.decisions);
-    let (decision, doubt) = response::verify(&fields, &response);
-    decisions.push(decision);
-    if fields.lit_weight.iter().all(|w| *w <= 0.0) {
-        return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
-    }
+/// Estimates light and materials, with `machine` to tell the time. Reads like the paper's section list.
+///
+/// # Errors
+/// The scan is unusable: no vertices, or no keyframe that can be read.
+pub fn estimate_on(
+    machine: &dyn Machine,
+    scan: &Scan,
+    config: &EstimatorConfig,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Result<Estimate, EstimateError> {
+    let config = &plan::at_quality(config);
+    let mut plan = Plan::new(machine, options, config, stages::size(scan, config));
 
-    // §3.2: segments (Eqs. 6–7).
-    progress.stage("segmentation", 0.0);
-    let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
-    let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
+    // §3.1: a regular mesh, and the keyframes' colours on it (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
+    let mut ready = stages::prepare(scan, config, &mut plan, progress)?;
 
     // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
-    let rays = plan.rays(&mesh, &scene, config);
-    let bands = if config.bands > 0 { config.bands as usize } else { sh::AUTO_BANDS };
-    let traced = if config.transfer == TransferChoice::Diffuse {
-        transfer::unoccluded(&mesh, bands)
-    } else {
-        transfer::trace(&mesh, &scene, bands, rays, config.seed, &|done| progress.stage("transfer", done))
-    };
-    let gi = match config.transfer {
-        TransferChoice::Auto => traced.mean_blocked() > config.gi_from_blocked,
-        choice => choice == TransferChoice::Gi,
-    };
-    progress.stage("factorisation", 0.0);
-    let settings = Settings { gi, bands, bounces: config.bounces, solver: config.solver };
-    let colors = Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
-    let mut found = factorise(Arc::new(traced), &colors, &settings, None);
+    let traced = stages::transfer(&ready, config, options, &mut plan, progress);
+    let settled = stages::settle(&mut ready, traced, config, options, &mut plan, progress);
+    let (traced, settings) = (settled.traced, settled.settings);
+    let mut found = factorise(Arc::clone(&traced), &ready.colors(), &settings, settled.start);
+    plan.light_done(traced.mean_blocked(), settings.bands);
 
     // §3.4: specular weights (Eq. 13); lit colours without gloss are factorised once more.
-    let lit_with_gloss = fields.lit_color.clone();
-    let mut gloss = vec![Gloss::NONE; segments];
-    if config.specular != Switch::Off {
+    let lit_with_gloss = ready.fields.lit_color.clone();
+    let mut gloss = vec![Gloss::NONE; ready.segments];
+    if config.specular != Switch::Off && plan.specular(settings.bands) {
         progress.stage("specular", 0.0);
         let decision;
-        (found, gloss, decision) = refit::refit(&mesh, &scene, &mut fields, &segment, found, &settings);
-        decisions.push(decision);
+        (found, gloss, decision) =
+            refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
+        ready.decisions.push(decision);
+        plan.specular_done(settings.bands);
     }
 
-    // Frames that no step used.
+    // The assumption that it all rests on, and frames that no step used.
+    let (decision, near) = distant::check(&ready.mesh, &ready.fields, &ready.segment, &found);
+    ready.decisions.push(decision);
+    let mut warnings = std::mem::take(&mut ready.warnings);
+    warnings.extend(near);
     progress.stage("witnesses", 0.0);
-    let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
-    let model = witness::Model {
-        reflection: refit::reflection(&mesh, &scene, &found),
-        lit_color: &lit_with_gloss,
-        lit_weight: &fields.lit_weight,
-        diffuse: &diffuse,
-        segment: &segment,
-        gloss: &gloss,
-    };
-    let witnesses = scan.witnesses.iter().filter_map(|w| witness::compare(&model, w, &response)).collect();
-    decisions.push(transfer_decision(&found, rays));
-
-    let keyframes = scan.keyframes.iter().zip(&fields.views);
-    let keyframes = keyframes.map(|(k, v)| ResultKeyframe {
-        name: k.name.clone(),
-        timestamp_ns: k.color.timestamp_ns,
-        gain: v.gain,
-        world_from_camera: v.world_from_camera,
-        camera: k.camera,
-        residual_px: v.residual_px,
-    });
-    let mut warnings = Vec::from_iter(doubt);
+    let witnesses = stages::witnesses(&ready, scan, &found, &gloss, &lit_with_gloss, &mut plan);
+    ready.decisions.push(stages::transfer_decision(&found, config));
     if scan.keyframes.len() < 2 {
         warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());
     }
+    warnings.extend(stages::unseen_light(&found));
+    plan.writing();
     progress.stage("done", 1.0);
     Ok(Estimate {
         name: scan.name.clone(),
-        response,
-        keyframes: keyframes.collect(),
-        segments: segment_table(&segment, &found, &gloss),
-        light: light(&found),
-        mesh,
-        segment,
-        lit_color: fields.lit_color,
+        response: scan.sensor.response,
+        keyframes: stages::keyframes(scan, &ready),
+        segments: stages::segment_table(&ready.segment, &found, &gloss),
+        light: stages::light(&found),
+        transfer: stages::transfer_level(&found).into(),
+        mesh: ready.mesh,
+        segment: ready.segment,
+        lit_color: ready.fields.lit_color,
         albedo: found.detail.albedo,
         confidence: found.detail.confidence,
-        transfer: match (config.transfer, gi) {
-            (TransferChoice::Diffuse, _) => "diffuse",
-            (_, true) => "gi",
-            _ => "shade",
-        }
-        .into(),
-        decisions,
+        decisions: ready.decisions,
         cuts: plan.cuts,
         warnings,
         albedo_scale_rule: factorise::SCALE_RULE.into(),
         witnesses,
     })
-}
-
-fn usable(mesh: &recordings::types::Mesh) -> Result<(), EstimateError> {
-    if mesh.positions.is_empty() || mesh.triangles.is_empty() {
-        return Err(EstimateError::Unusable("the mesh has no triangle".into()));
-    }
-    Ok(())
-}
-
-fn light(found: &Factorised) -> Light {
-    Light {
-        coefficients: found.solution.light.clone(),
-        standard_deviation: found.solution.standard_deviation.clone(),
-        directions: inverse::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
-        radiance: found.solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
-    }
-}
-
-fn segment_table(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
-    let mut vertices = vec![0u32; gloss.len()];
-    for s in segment {
-        vertices[*s as usize] += 1;
-    }
-    let rows = vertices.into_iter().zip(&found.solution.albedo).zip(gloss);
-    rows.map(|((vertices, albedo), g)| Segment {
-        vertices,
-        albedo: *albedo,
-        w_d: if g.significant { g.w_d } else { 1.0 },
-        w_s: if g.significant { g.w_s } else { 0.0 },
-        w_s_error: g.error,
-    })
-    .collect()
-}
-
-fn transfer_decision(found: &Factorised, rays: u32) -> Decision {
-    let traced = &found.transfer.traced;
-    let blocked = traced.mean_blocked();
-    let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
-        format!(
-            "; {} bounces bring {:.1} % of the light, the last {:.2} %",
-            b.bounces,
-            100.0 * b.share,
-            100.0 * b.last_share
-        )
-    });
-    Decision {
-        name: "transfer".into(),
-        choice: if found.transfer.bounced.is_some() { "gi" } else { "shade" }.into(),
-        evidence: format!(
-            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}",
-            100.0 * blocked,
-            traced.relative_error()
-        ),
-        next_level: format!("twice the rays: relative standard error about {:.3}", 0.6 * traced.relative_error()),
-    }
 }

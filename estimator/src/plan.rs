@@ -1,74 +1,518 @@
-//! What a run may spend, and on what: the machine is measured, the rays are planned to fit, what is cut is written down.
+//! What a run may spend, and on what: the machine is measured, all stages are planned to fit, the clock is watched, and
+//! what is cut is written down. Bounces give way first, then rays, then what only refines, then vertices.
 
 use crate::Options;
-use crate::scene::Scene;
-use crate::transfer;
-use firmware_config::EstimatorConfig;
-use recordings::types::Mesh;
-use std::time::{Duration, Instant};
+use crate::cost::{self, Size};
+use crate::sh;
+use firmware_config::{EstimatorConfig, Quality, Switch};
+use rayon::prelude::*;
+use recordings::result::ABANDONED;
+use std::time::Instant;
 
 /// Rays of one round.
 pub const ROUND: u32 = 64;
-/// Rays per vertex where the budget does not bind.
-const DEFAULT_RAYS: u32 = 128;
-/// Least rays a vertex gets.
+/// Rays per vertex where the budget does not bind and nothing is known of the scene.
+pub const DEFAULT_RAYS: u32 = 128;
+/// Rays per vertex before fewer vertices are taken, and at the very least.
+const FEW_RAYS: u32 = 32;
 const LEAST_RAYS: u32 = 8;
-/// Share of the time left that rays may take.
-const RAY_SHARE: f64 = 0.5;
-/// Vertices that the speed probe traces.
-const PROBE_VERTICES: usize = 512;
-/// Rays that it traces from each.
-const PROBE_RAYS: u32 = 16;
+/// Keyframes that every second one is left out of at least.
+const MANY_KEYFRAMES: usize = 12;
+/// Fewest vertices that a mesh is cut to, and the factor of one cut.
+const LEAST_VERTICES: f64 = 2000.0;
+const VERTEX_CUT: f64 = 0.7;
+/// Share of the time left that is planned with: costs are estimates, and machines stall.
+const USABLE: f64 = 0.7;
+/// Reference seconds of one slice of the speed probe.
+const PROBE_SECONDS: f64 = 1.8e-3;
+/// Evaluations of one slice, and tasks they are shared among.
+const PROBE_EVALUATIONS: u32 = 16_000;
+const PROBE_TASKS: u32 = 16;
+/// Slices at least.
+const LEAST_SLICES: u32 = 3;
+/// Where the budget may bind, the probe goes on for this share of it: a machine that is halted now and then is fast in
+/// between.
+const PROBE_SHARE: f64 = 0.04;
+/// The budget cannot bind if all is done in this share of it.
+const CLEARLY_ENOUGH: f64 = 0.125;
+
+/// What tells the time. On a simulated machine, time passes as work is reported.
+pub trait Machine: Sync {
+    /// Seconds since the run began.
+    fn now(&self) -> f64;
+    /// Work of so many reference seconds was just done.
+    fn worked(&self, _reference_seconds: f64) {}
+}
+
+/// The machine that this runs on.
+#[derive(Debug)]
+pub struct WallClock(Instant);
+
+impl WallClock {
+    /// Starts the clock.
+    #[must_use]
+    pub fn start() -> Self {
+        Self(Instant::now())
+    }
+}
+
+impl Machine for WallClock {
+    fn now(&self) -> f64 {
+        self.0.elapsed().as_secs_f64()
+    }
+}
+
+/// How much of everything a run does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shape {
+    /// Vertices at most.
+    pub vertices: usize,
+    /// Every so manieth keyframe is used.
+    pub keyframe_stride: usize,
+    /// Rounds of pose refinement; 0 = poses stay.
+    pub pose_rounds: u32,
+    /// Rays per vertex at most.
+    pub rays: u32,
+    /// Bounces at most; 0 = until they no longer matter.
+    pub bounces: u32,
+    /// SH bands at most.
+    pub bands: usize,
+    /// Gloss is looked for.
+    pub specular: bool,
+}
+
+impl Shape {
+    /// Everything that the settings ask for.
+    #[must_use]
+    pub fn full(config: &EstimatorConfig, rounds: Option<u32>) -> Self {
+        let auto = rounds.map_or(DEFAULT_RAYS, |r| ROUND * r.max(1));
+        Self {
+            vertices: usize::MAX,
+            keyframe_stride: 1,
+            pose_rounds: if config.refine_poses == Switch::Off { 0 } else { config.association_rounds },
+            rays: if config.rays > 0 { config.rays } else { auto },
+            bounces: config.bounces,
+            bands: if config.bands > 0 { config.bands as usize } else { sh::AUTO_BANDS },
+            specular: config.specular != Switch::Off,
+        }
+    }
+
+    fn size(&self, full: &Size) -> Size {
+        Size {
+            vertices: full.vertices.min(self.vertices as f64),
+            keyframes: (full.keyframes / self.keyframe_stride as f64).ceil(),
+            ..*full
+        }
+    }
+
+    /// Reference seconds of what follows the light field.
+    fn after_association(&self, size: &Size) -> f64 {
+        cost::segmentation(size) + self.light(size, 0.4) + self.end(size)
+    }
+
+    /// Transfer and factorisation; `blocked` is the share of rays that hit.
+    fn light(&self, size: &Size, blocked: f64) -> f64 {
+        cost::rays(size.vertices, self.rays)
+            + cost::BOUNCED * cost::bounces(size.vertices, self.rays, blocked, self.bounces)
+            + 2.5 * cost::solution(self.bands)
+    }
+
+    fn end(&self, size: &Size) -> f64 {
+        let specular = if self.specular { cost::specular(size, self.bands) } else { 0.0 };
+        specular + cost::output(size)
+    }
+
+    fn all(&self, full: &Size) -> f64 {
+        let size = self.size(full);
+        cost::mesh(full, size.vertices < full.vertices)
+            + cost::pictures(&size)
+            + (f64::from(self.pose_rounds) + 1.0) * cost::association(&size)
+            + self.after_association(&size)
+            + size.witnesses * cost::witness(&size)
+    }
+
+    /// The next lower level; `None` at the lowest.
+    fn lower(&self, full: &Size) -> Option<Self> {
+        let mut next = *self;
+        if self.bounces == 0 || self.bounces > 2 {
+            next.bounces = 2;
+        } else if self.bounces > 1 {
+            next.bounces = 1;
+        } else if self.rays > FEW_RAYS {
+            next.rays = (self.rays / 2).max(FEW_RAYS);
+        } else if self.pose_rounds > 2 {
+            next.pose_rounds = 2;
+        } else if self.specular {
+            next.specular = false;
+        } else if self.pose_rounds > 0 {
+            next.pose_rounds = 0;
+        } else if self.bands > 5 {
+            next.bands = 5;
+        } else if self.keyframe_stride == 1 && full.keyframes >= MANY_KEYFRAMES as f64 {
+            next.keyframe_stride = 2;
+        } else if self.size(full).vertices * VERTEX_CUT >= LEAST_VERTICES {
+            next.vertices = (self.size(full).vertices * VERTEX_CUT) as usize;
+        } else if self.rays > LEAST_RAYS {
+            next.rays /= 2;
+        } else {
+            return None;
+        }
+        Some(next)
+    }
+
+    /// What the step from `before` to this cut, in words.
+    fn cuts_from(&self, before: &Self, full: &Size) -> Vec<String> {
+        let mut cuts = Vec::new();
+        let count = |n: u32| if n == 0 { "as many as matter".into() } else { n.to_string() };
+        if self.bounces != before.bounces {
+            cuts.push(format!("bounces: {} instead of {}", self.bounces, count(before.bounces)));
+        }
+        if self.rays != before.rays {
+            cuts.push(format!("rays: {} per vertex instead of {}", self.rays, before.rays));
+        }
+        if self.pose_rounds != before.pose_rounds {
+            cuts.push(format!("pose refinement: {} rounds instead of {}", self.pose_rounds, before.pose_rounds));
+        }
+        if self.specular != before.specular {
+            cuts.push("specular: not looked for".into());
+        }
+        if self.bands != before.bands {
+            cuts.push(format!("bands: at most {} instead of {}", self.bands, before.bands));
+        }
+        if self.keyframe_stride != before.keyframe_stride {
+            cuts.push(format!("keyframes: every {}nd of {:.0}", self.keyframe_stride, full.keyframes));
+        }
+        if self.vertices < before.vertices {
+            cuts.push(format!("vertices: about {} instead of {:.0}", self.vertices, before.size(full).vertices));
+        }
+        cuts
+    }
+}
 
 /// The clock and the budget of one run.
-#[derive(Debug)]
-pub struct Plan {
-    start: Instant,
-    budget: Duration,
-    rounds: Option<u32>,
+pub struct Plan<'a> {
+    machine: &'a dyn Machine,
+    /// Seconds; infinite where rounds replace the clock.
+    budget: f64,
+    size: Size,
+    /// Reference seconds a second, as the probe saw it.
+    probed: f64,
+    /// Reference seconds of work done since the probe, and when it ended.
+    work: f64,
+    since: f64,
+    shape: Shape,
     /// What was cut, in words.
     pub cuts: Vec<String>,
 }
 
-impl Plan {
-    /// Starts the clock.
+impl<'a> Plan<'a> {
+    /// Measures the machine and plans all stages. With rounds given, no clock is read.
     #[must_use]
-    pub fn new(options: &Options) -> Self {
-        Self { start: Instant::now(), budget: options.budget, rounds: options.rounds, cuts: Vec::new() }
+    pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
+        let shape = Shape::full(config, options.rounds);
+        let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
+        let mut plan = Self { machine, budget, size, probed: 1.0, work: 0.0, since: 0.0, shape, cuts: Vec::new() };
+        if budget.is_finite() {
+            plan.probe(shape.all(&size));
+            let found = plan.fitting(shape, |s| s.all(&size), f64::INFINITY);
+            plan.take(found);
+        }
+        plan
     }
 
-    fn left(&self) -> Duration {
-        self.budget.saturating_sub(self.start.elapsed())
+    /// What the run does, as planned so far.
+    #[must_use]
+    pub fn shape(&self) -> Shape {
+        self.shape
     }
 
-    /// Rays per vertex: as set, or as rounds say, or as many as the machine traces in its share of the time left.
-    pub fn rays(&mut self, mesh: &Mesh, scene: &Scene, config: &EstimatorConfig) -> u32 {
-        if config.rays > 0 {
-            return config.rays;
+    /// Takes a share of the vertices and every `stride`th keyframe only.
+    pub fn restrict(&mut self, vertices: f64, stride: usize) {
+        if vertices < 1.0 {
+            self.shape.vertices = (self.size.vertices * vertices) as usize;
         }
-        if let Some(rounds) = self.rounds {
-            return ROUND * rounds.max(1);
+        self.shape.keyframe_stride = stride.max(1);
+    }
+
+    /// Speed of this machine in reference seconds a second. `needed` is what there is to do.
+    fn probe(&mut self, needed: f64) {
+        let start = self.machine.now();
+        let mut slices = 0;
+        loop {
+            let evaluated: f32 = (0..PROBE_TASKS).into_par_iter().map(probe_slice).collect::<Vec<f32>>().iter().sum();
+            std::hint::black_box(evaluated);
+            self.machine.worked(PROBE_SECONDS);
+            slices += 1;
+            let spent = (self.machine.now() - start).max(1e-9);
+            self.probed = f64::from(slices) * PROBE_SECONDS / spent;
+            let enough = needed < CLEARLY_ENOUGH * self.probed * (self.budget - self.machine.now());
+            if slices >= LEAST_SLICES && (enough || spent >= PROBE_SHARE * self.budget) {
+                break;
+            }
         }
-        let stride = mesh.positions.len().div_ceil(PROBE_VERTICES).max(1);
-        let probe = Mesh {
-            positions: mesh.positions.iter().copied().step_by(stride).collect(),
-            normals: mesh.normals.iter().copied().step_by(stride).collect(),
-            triangles: Vec::new(),
-        };
-        let before = Instant::now();
-        transfer::probe(&probe, scene, PROBE_RAYS, config.seed);
-        let seconds_per_ray = before.elapsed().as_secs_f64() / (probe.positions.len() as f64 * f64::from(PROBE_RAYS));
-        let affordable = RAY_SHARE * self.left().as_secs_f64() / (seconds_per_ray * mesh.positions.len() as f64);
-        let mut rays = DEFAULT_RAYS;
-        while f64::from(rays) > affordable && rays > LEAST_RAYS {
-            rays /= 2;
+        self.since = self.machine.now();
+        tracing::debug!("planning for a machine {:.2} times as fast as the reference", self.probed);
+    }
+
+    /// The lower of what the probe saw and what the stages since have shown.
+    fn speed(&self) -> f64 {
+        let spent = self.machine.now() - self.since;
+        // Little work says little: the probe counts like a second of it.
+        let seen = (self.work + 1.0) / (spent + 1.0 / self.probed);
+        self.probed.min(seen).max(1e-12)
+    }
+
+    /// Reference seconds that may still be planned with.
+    fn left(&self) -> f64 {
+        if self.budget.is_finite() { USABLE * self.speed() * (self.budget - self.machine.now()) } else { f64::INFINITY }
+    }
+
+    /// The highest level from `shape` down whose `cost` fits what is left.
+    fn fitting(&self, mut shape: Shape, cost: impl Fn(&Shape) -> f64, most: f64) -> Shape {
+        let left = self.left().min(most);
+        while cost(&shape) > left {
+            match shape.lower(&self.size) {
+                Some(lower) => shape = lower,
+                None => break,
+            }
         }
-        if rays < DEFAULT_RAYS {
-            self.cuts.push(format!(
-                "rays: {rays} per vertex instead of {DEFAULT_RAYS} ({:.0} rays a second here)",
-                1.0 / seconds_per_ray
-            ));
+        shape
+    }
+
+    fn take(&mut self, shape: Shape) {
+        let speed = self.speed();
+        for cut in shape.cuts_from(&self.shape, &self.size) {
+            self.cuts.push(format!("{cut} (planned for a machine {speed:.2} times as fast as the reference)"));
         }
+        self.shape = shape;
+    }
+
+    /// Work of so many reference seconds is done.
+    pub fn worked(&mut self, reference_seconds: f64) {
+        if self.budget.is_finite() {
+            self.machine.worked(reference_seconds);
+            self.work += reference_seconds;
+        }
+    }
+
+    /// The mesh has become what it is.
+    pub fn mesh_done(&mut self, vertices: usize) {
+        let coarser = (self.shape.vertices as f64) < self.size.vertices;
+        self.worked(cost::mesh(&self.size, coarser));
+        self.size.vertices = vertices as f64;
+        self.shape.vertices = vertices;
+    }
+
+    /// True if another round of pose refinement fits; it and the final round count as work.
+    pub fn pose_round(&mut self, round: u32) -> bool {
+        let size = self.shape.size(&self.size);
+        if round > 0 {
+            self.worked(cost::association(&size));
+        }
+        let pictures = if round == 0 { cost::pictures(&size) } else { 0.0 };
+        let rest = pictures + 2.0 * cost::association(&size) + self.least(&size);
+        let fits = rest <= self.left();
+        if !fits && round < self.shape.pose_rounds {
+            self.cuts.push(format!("pose refinement: ended after {round} rounds"));
+        }
+        fits
+    }
+
+    /// What must still be done when the light field is there, at the lowest level of everything.
+    fn least(&self, size: &Size) -> f64 {
+        let least = Shape { rays: LEAST_RAYS, bounces: 1, bands: 5, specular: false, ..self.shape };
+        least.after_association(size)
+    }
+
+    /// The light field is there.
+    pub fn association_done(&mut self) {
+        let size = self.shape.size(&self.size);
+        self.worked(cost::pictures(&size) + cost::association(&size));
+    }
+
+    /// Segments are there: what of the rest fits is decided anew.
+    pub fn segmentation_done(&mut self) {
+        let size = self.shape.size(&self.size);
+        self.worked(cost::segmentation(&size));
+        if self.budget.is_finite() {
+            // The mesh is what it is by now: only what follows may be cut.
+            let fixed = self.shape;
+            let rest = |s: &Shape| {
+                let s = Shape { vertices: fixed.vertices, keyframe_stride: fixed.keyframe_stride, ..*s };
+                s.light(&size, 0.4) + s.end(&size)
+            };
+            let found = self.fitting(self.shape, rest, f64::INFINITY);
+            self.take(Shape {
+                vertices: fixed.vertices,
+                keyframe_stride: fixed.keyframe_stride,
+                pose_rounds: fixed.pose_rounds,
+                ..found
+            });
+        }
+    }
+
+    /// Seconds after which rays are no longer worth waiting for: the rest needs the time.
+    #[must_use]
+    pub fn rays_until(&self) -> f64 {
+        if !self.budget.is_finite() {
+            return f64::INFINITY;
+        }
+        let size = self.shape.size(&self.size);
+        let least = Shape { rays: LEAST_RAYS, bounces: 1, bands: 5, specular: false, ..self.shape };
+        let rest = (least.light(&size, 0.4) + least.end(&size)) / (USABLE * self.speed());
+        let now = self.machine.now();
+        now + (self.budget - now - rest).max(0.0) * USABLE
+    }
+
+    /// Told the share of `rays` that is traced; false if they will not be there in time.
+    pub fn watch_rays<'b>(&'b self, rays: u32) -> impl Fn(f64) -> bool + Sync + use<'a, 'b> {
+        let (start, until) = (self.machine.now(), self.rays_until());
+        let (machine, finite) = (self.machine, self.budget.is_finite());
+        let all = cost::rays(self.size.vertices, rays);
+        let told = std::sync::Mutex::new(0.0f64);
+        move |share| {
+            if !finite {
+                return true;
+            }
+            if let Ok(mut told) = told.lock() {
+                machine.worked(all * (share - *told).max(0.0));
+                *told = told.max(share);
+            }
+            let now = machine.now();
+            let end = start + (now - start) / share.max(0.02);
+            now < until && (end < until || share < 0.02)
+        }
+    }
+
+    /// Fewer rays after some were given up; `None` if there is no time for any.
+    pub fn fewer_rays(&mut self, rays: u32) -> Option<u32> {
+        let fewer = rays / 4;
+        if fewer < LEAST_RAYS || self.machine.now() > self.rays_until() {
+            self.cuts.push(format!("{ABANDONED}transfer with {rays} rays per vertex"));
+            return None;
+        }
+        self.cuts.push(format!("rays: {fewer} per vertex, since {rays} were not there in time"));
+        self.shape.rays = fewer;
+        Some(fewer)
+    }
+
+    /// As many of the `wanted` rays as fit, `have` of which are there.
+    pub fn more_rays(&mut self, wanted: u32, have: u32, blocked: f64, bands: usize) -> u32 {
+        if !self.budget.is_finite() {
+            return wanted;
+        }
+        let size = self.shape.size(&self.size);
+        let mut rays = wanted;
+        let mut bounces = self.shape.bounces;
+        let cost =
+            |rays, bounces| Shape { rays, bands, bounces, ..self.shape }.light(&size, blocked) + cost::output(&size);
+        while rays > have && cost(rays, bounces) > self.left() {
+            match bounces {
+                1 => rays /= 2,
+                2 => bounces = 1,
+                _ => bounces = 2,
+            }
+        }
+        self.take(Shape { bounces, ..self.shape });
+        if rays < wanted {
+            self.cuts.push(format!("rays: {rays} per vertex instead of {wanted}"));
+        }
+        self.shape.rays = rays;
         rays
     }
+
+    /// Rays are there: they count as work (a simulated machine was told already).
+    pub fn rays_done(&mut self, rays: u32) {
+        self.work += cost::rays(self.size.vertices, rays);
+    }
+
+    /// Bounces and bands that fit, `blocked` being the share of rays that hit.
+    pub fn light(&mut self, blocked: f64) -> (u32, usize) {
+        if self.budget.is_finite() {
+            let size = self.shape.size(&self.size);
+            let rest = |s: &Shape| s.light(&size, blocked) - cost::rays(size.vertices, s.rays) + cost::output(&size);
+            let mut shape = self.shape;
+            while rest(&shape) > self.left() && (shape.bounces != 1 || shape.bands > 3) {
+                match shape.bounces {
+                    1 => shape.bands -= 2,
+                    2 => shape.bounces = 1,
+                    _ => shape.bounces = 2,
+                }
+            }
+            self.take(shape);
+        }
+        (self.shape.bounces, self.shape.bands)
+    }
+
+    /// Light and albedo are there.
+    pub fn light_done(&mut self, blocked: f64, bands: usize) {
+        let size = self.shape.size(&self.size);
+        let shape = Shape { bands, ..self.shape };
+        self.worked(shape.light(&size, blocked) - cost::rays(size.vertices, shape.rays));
+    }
+
+    /// True if there is time to look for gloss.
+    pub fn specular(&mut self, bands: usize) -> bool {
+        let size = self.shape.size(&self.size);
+        let fits = cost::specular(&size, bands) + cost::output(&size) <= self.left();
+        if self.shape.specular && !fits {
+            self.cuts.push("specular: not looked for".into());
+        }
+        self.shape.specular && fits
+    }
+
+    /// Gloss has been looked for.
+    pub fn specular_done(&mut self, bands: usize) {
+        let size = self.shape.size(&self.size);
+        self.worked(cost::specular(&size, bands));
+    }
+
+    /// True if there is time to predict another witness frame.
+    pub fn witness(&mut self) -> bool {
+        let size = self.shape.size(&self.size);
+        let fits = cost::witness(&size) + cost::output(&size) <= self.left();
+        if fits {
+            self.worked(cost::witness(&size));
+        }
+        fits
+    }
+
+    /// Told before the result is written, which is the last work there is.
+    pub fn writing(&mut self) {
+        let size = self.shape.size(&self.size);
+        self.worked(cost::output(&size));
+    }
+}
+
+fn probe_slice(task: u32) -> f32 {
+    let mut values = [0.0f32; sh::MAX_COEFFICIENTS];
+    let mut sum = 0.0;
+    for i in 0..PROBE_EVALUATIONS / PROBE_TASKS {
+        let draw = |k| crate::random::unit(crate::random::hash(task * PROBE_EVALUATIONS + i, k)) - 0.5;
+        sh::eval_f32(glam::Vec3::new(draw(1), draw(2), draw(3)).normalize_or(glam::Vec3::Z), &mut values);
+        sum += values[7];
+    }
+    sum
+}
+
+/// The settings with the named point of the trade applied to what is left to `auto`.
+#[must_use]
+pub fn at_quality(config: &EstimatorConfig) -> EstimatorConfig {
+    let mut config = config.clone();
+    let auto = |value: &mut u32, to: u32| {
+        if *value == 0 {
+            *value = to;
+        }
+    };
+    match config.quality {
+        Quality::Draft => {
+            auto(&mut config.rays, 32);
+            auto(&mut config.bands, 4);
+            auto(&mut config.bounces, 2);
+            config.association_rounds = config.association_rounds.min(2);
+        }
+        Quality::Standard => {}
+        Quality::Best => auto(&mut config.rays, 1024),
+    }
+    config
 }

@@ -34,9 +34,9 @@ const DIFFERENCE: f32 = 4.0;
 const THUMBNAIL: u32 = 48;
 
 const BACKGROUND: [u8; 3] = [18, 20, 24];
-const NOTHING: [u8; 3] = [34, 37, 43];
-const TEXT: [u8; 3] = [226, 228, 232];
-const FAINT: [u8; 3] = [150, 155, 165];
+pub(crate) const NOTHING: [u8; 3] = [34, 37, 43];
+pub(crate) const TEXT: [u8; 3] = [226, 228, 232];
+pub(crate) const FAINT: [u8; 3] = [150, 155, 165];
 
 /// Draws the sheet as a PNG file.
 ///
@@ -139,8 +139,7 @@ fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::reality::environm
 fn compose(panels: &[(String, Panel)], facts: &[String], height: u32) -> Result<Vec<u8>, String> {
     let cell = (PANEL + GAP, height + CAPTION + GAP);
     let rows = (panels.len() as u32 + 1).div_ceil(COLUMNS);
-    let mut page = Pixmap::new(COLUMNS * cell.0 + GAP, rows * cell.1 + GAP).ok_or("the sheet is too large")?;
-    page.fill(color(BACKGROUND));
+    let mut page = page(COLUMNS * cell.0 + GAP, rows * cell.1 + GAP).ok_or("the sheet is too large")?;
     let place = |i: usize| (GAP + (i as u32 % COLUMNS) * cell.0, GAP + (i as u32 / COLUMNS) * cell.1);
     for (i, (caption, panel)) in panels.iter().enumerate() {
         let (x, y) = place(i);
@@ -250,11 +249,18 @@ fn heat(value: f32) -> Vec3 {
     STOPS[i].lerp(STOPS[i + 1], x - i as f32)
 }
 
+/// An empty sheet; `None` if it has no size, or too much of it.
+pub(crate) fn page(width: u32, height: u32) -> Option<Pixmap> {
+    let mut page = Pixmap::new(width, height)?;
+    page.fill(color(BACKGROUND));
+    Some(page)
+}
+
 fn color([r, g, b]: [u8; 3]) -> Color {
     Color::from_rgba8(r, g, b, 255)
 }
 
-fn fill(page: &mut Pixmap, (x, y, w, h): (u32, u32, u32, u32), with: [u8; 3]) {
+pub(crate) fn fill(page: &mut Pixmap, (x, y, w, h): (u32, u32, u32, u32), with: [u8; 3]) {
     let mut paint = Paint { anti_alias: false, ..Paint::default() };
     paint.set_color(color(with));
     if let Some(rect) = Rect::from_xywh(x as f32, y as f32, w as f32, h as f32) {
@@ -272,7 +278,7 @@ fn pixmap(panel: &Panel) -> Option<Pixmap> {
     Some(picture)
 }
 
-fn write_text(page: &mut Pixmap, (x, y): (u32, u32), text: &str, with: [u8; 3]) {
+pub(crate) fn write_text(page: &mut Pixmap, (x, y): (u32, u32), text: &str, with: [u8; 3]) {
     let step = (font::COLUMNS as u32 + 1) * DOT;
     for (i, character) in (0u32..).zip(text.chars().take((PANEL / step) as usize)) {
         for (row, bits) in (0u32..).zip(font::glyph(character)) {

@@ -48,6 +48,38 @@ pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> 
     remesh(&clean, target)
 }
 
+/// A mesh of about `vertices` vertices instead of more, where time is short: vertices of one cell of a grid that face the
+/// same way become one.
+#[must_use]
+pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
+    let fine = repaired(mesh);
+    let cell = edge_for(area(&fine), vertices.min(u32::MAX as usize) as u32);
+    if vertices >= fine.positions.len() || fine.triangles.is_empty() || !(cell > 0.0 && cell.is_finite()) {
+        return fine;
+    }
+    let origin = fine.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let key = |i: usize| {
+        let (p, n) = (((fine.positions[i] - origin) / cell).floor().as_ivec3(), fine.normals[i]);
+        let a = n.abs();
+        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
+        (p.to_array(), 2 * axis + usize::from(n[axis] < 0.0), i)
+    };
+    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..fine.positions.len()).into_par_iter().map(key).collect();
+    keyed.par_sort_unstable();
+    let mut cluster = vec![0u32; fine.positions.len()];
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    for group in keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let sum = |of: &[Vec3]| group.iter().map(|k| of[k.2]).sum::<Vec3>();
+        group.iter().for_each(|k| cluster[k.2] = positions.len() as u32);
+        positions.push(sum(&fine.positions) / group.len() as f32);
+        normals.push(sum(&fine.normals).normalize_or(fine.normals[group[0].2]));
+    }
+    let triangles = fine.triangles.iter().map(|t| t.map(|i| cluster[i as usize])).collect();
+    let raw = Mesh { positions, normals, triangles };
+    let triangles = usable_triangles(&raw);
+    compacted(&raw, triangles)
+}
+
 fn remesh(mesh: &Mesh, target: f32) -> Mesh {
     let scene = Scene::new(mesh);
     let limit = GROWTH * mesh.positions.len() + 1000;
@@ -300,6 +332,16 @@ mod tests {
         let vertices = mesh.positions.len();
         assert!((1500..=2500).contains(&vertices), "{vertices} vertices for about 2000");
         assert!(mesh.positions.iter().all(|p| (p.length() - 1.0).abs() < 5e-3));
+    }
+
+    #[test]
+    fn coarsened_in_a_hurry() {
+        let fine = globe(100, 200);
+        let coarse = coarsened(&fine, 2000);
+        let n = coarse.positions.len();
+        assert!((1000..4000).contains(&n), "{n} vertices");
+        assert!(coarse.positions.iter().all(|p| (p.length() / fine.positions[500].length() - 1.0).abs() < 0.02));
+        assert!(coarse.positions.iter().zip(&coarse.normals).all(|(p, n)| n.dot(p.normalize()) > 0.9));
     }
 
     #[test]

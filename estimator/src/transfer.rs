@@ -90,6 +90,23 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
 /// Traces `rays` cosine-distributed rays from every vertex; `report` is told the share done.
 #[must_use]
 pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, report: &(dyn Fn(f64) + Sync)) -> Traced {
+    let go_on = |share: f64| {
+        report(share);
+        true
+    };
+    trace_while(mesh, scene, bands, rays, seed, &go_on).unwrap_or_else(|| unoccluded(mesh, bands))
+}
+
+/// The same as long as `go_on`, which is told the share done, says so; `None` once it does not.
+#[must_use]
+pub fn trace_while(
+    mesh: &Mesh,
+    scene: &Scene,
+    bands: usize,
+    rays: u32,
+    seed: u32,
+    go_on: &(dyn Fn(f64) -> bool + Sync),
+) -> Option<Traced> {
     let k = bands * bands;
     let count = mesh.positions.len();
     let directions = CosineDirections::new(rays, seed);
@@ -97,6 +114,7 @@ pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, rep
     let mut blocked = vec![0.0f32; count];
     let mut error = vec![0.0f32; count];
     let done = std::sync::atomic::AtomicUsize::new(0);
+    let ended = std::sync::atomic::AtomicBool::new(false);
     let hits: Vec<(Vec<u32>, Vec<u32>)> = direct
         .par_chunks_mut(BLOCK * k)
         .zip(blocked.par_chunks_mut(BLOCK))
@@ -104,16 +122,24 @@ pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, rep
         .enumerate()
         .map(|(block, ((direct, blocked), error))| {
             let (mut ends, mut corners) = (Vec::with_capacity(blocked.len()), Vec::new());
+            if ended.load(std::sync::atomic::Ordering::Relaxed) {
+                return (ends, corners);
+            }
             for (j, row) in direct.chunks_mut(k).enumerate() {
                 let vertex = block * BLOCK + j;
                 (blocked[j], error[j]) = trace_vertex(mesh, scene, &directions, vertex, rays, row, &mut corners);
                 ends.push(corners.len() as u32);
             }
             let before = done.fetch_add(blocked.len(), std::sync::atomic::Ordering::Relaxed);
-            report((before + blocked.len()) as f64 / count as f64);
+            if !go_on((before + blocked.len()) as f64 / count as f64) {
+                ended.store(true, std::sync::atomic::Ordering::Relaxed);
+            }
             (ends, corners)
         })
         .collect();
+    if ended.into_inner() {
+        return None;
+    }
     let mut offsets = Vec::with_capacity(count + 1);
     offsets.push(0);
     let mut corners = Vec::with_capacity(hits.iter().map(|(_, c)| c.len()).sum());
@@ -122,24 +148,38 @@ pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, rep
         offsets.extend(ends.iter().map(|e| start + e));
         corners.extend(block);
     }
-    Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners }
+    Some(Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners })
 }
 
-/// Traces rays and forgets what they hit, for measuring how fast this machine is.
-pub fn probe(points: &Mesh, scene: &Scene, rays: u32, seed: u32) {
+/// What a few rays from about `samples` of the vertices tell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pilot {
+    /// Cosine-weighted share of blocked rays.
+    pub blocked: f64,
+    /// Relative standard error of the first five bands with so many rays.
+    pub relative_error: f64,
+}
+
+/// Traces `rays` rays from evenly strided vertices.
+#[must_use]
+pub fn pilot(mesh: &Mesh, scene: &Scene, samples: usize, rays: u32, seed: u32) -> Pilot {
     let directions = CosineDirections::new(rays, seed);
-    let hits: usize = (0..points.positions.len())
-        .into_par_iter()
-        .map(|i| {
-            let origin = scene.offset_origin(points.positions[i], points.normals[i]);
-            let mut hits = 0;
-            directions.about(i as u32, points.normals[i], 0..rays as usize, |_, d| {
-                hits += usize::from(scene.closest_hit(origin, d).is_some());
-            });
-            hits
+    let stride = mesh.positions.len().div_ceil(samples.max(1)).max(1);
+    let vertices: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
+    let found: Vec<[f64; 3]> = vertices
+        .par_iter()
+        .map(|&vertex| {
+            let mut row = [0.0f32; INDIRECT];
+            let (blocked, error) = trace_vertex(mesh, scene, &directions, vertex, rays, &mut row, &mut Vec::new());
+            let size: f64 = row.iter().map(|t| f64::from(*t).powi(2)).sum();
+            [f64::from(blocked), f64::from(error).powi(2), size]
         })
-        .sum();
-    std::hint::black_box(hits);
+        .collect();
+    let [blocked, error, size] = found.iter().fold([0.0; 3], |s, f| std::array::from_fn(|i| s[i] + f[i]));
+    Pilot {
+        blocked: blocked / vertices.len().max(1) as f64,
+        relative_error: if size > 0.0 { libm::sqrt(error / size) } else { 0.0 },
+    }
 }
 
 /// Directions gathered until there are enough for the fast path.

@@ -43,6 +43,18 @@ choices! {
 }
 
 choices! {
+    /// Named points of the trade of speed against accuracy.
+    Quality {
+        /// A quick look.
+        Draft = "draft",
+        /// What the scene requires.
+        Standard = "standard",
+        /// Everything that still helps a little.
+        Best = "best",
+    }
+}
+
+choices! {
     /// How light and albedo are separated.
     SolverChoice {
         /// Non-negative radiance, robust segment albedos.
@@ -107,6 +119,8 @@ section! {
         solver: SolverChoice = SolverChoice::Robust, [()], "", "Eqs. (10)–(12)";
         /// Specular weights.
         specular: Switch = Switch::Auto, [()], "", "Eq. (13)";
+        /// Point of the trade that is taken where a setting leaves the choice.
+        quality: Quality = Quality::Standard, [()], "", "";
         /// Seed of every random direction.
         seed: u32 = 1, [0..=4294967295], "", "";
     }

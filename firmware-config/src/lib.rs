@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 pub use capture::{CaptureConfig, ResponseChoice};
 pub use daemon::DaemonConfig;
-pub use estimator::{EstimatorConfig, ExposureChoice, SolverChoice, Switch, TransferChoice};
+pub use estimator::{EstimatorConfig, ExposureChoice, Quality, SolverChoice, Switch, TransferChoice};
 pub use fusion::FusionConfig;
 pub use kinect::{CameraConfig, KinectConfig};
 pub use memory::{Planned, memory_plan};

@@ -5,6 +5,7 @@
 
 pub mod metrics;
 pub mod npy;
+pub mod scans;
 pub mod truth;
 
 use std::path::PathBuf;

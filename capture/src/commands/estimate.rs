@@ -29,8 +29,11 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     let shown = args.scan.display();
     let scan = Scan::read(&args.scan)?;
     // Written by the program that made the scan; a key that this version does not know is no fault of the user's.
-    let config = Config::from_toml(&scan.config)
+    let mut config = Config::from_toml(&scan.config)
         .map_err(|e| Failure::Input(format!("{shown}: its settings: {e}; scan again with this version")))?;
+    if let Some(point) = args.effort.quality {
+        config.estimator.quality = point.setting();
+    }
     let options = Options { budget: budget.saturating_sub(started.elapsed()), rounds: args.effort.rounds };
     let result = estimator::estimate(&scan, &config.estimator, &options, reporter).map_err(|e| match e {
         EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),

@@ -15,6 +15,7 @@ mod record;
 pub mod render;
 mod replay;
 mod scan;
+mod trade;
 
 use crate::cli::{Cli, Command, Settings};
 use crate::failure::Failure;
@@ -41,6 +42,7 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
         Command::List(a) => list::run(a, cli.json),
         Command::Record(a) => record::run(a, cli.json, reporter),
         Command::Inspect(a) => inspect::run(a, cli.json),
+        Command::Trade(a) => trade::run(a, reporter),
     }
 }
 

@@ -1,0 +1,339 @@
+//! The stages of an estimate, each on its own: `estimate()` runs them once, the trade runs some of them many times.
+
+use crate::albedo::Detail;
+use crate::association::{self, Association, Effort};
+use crate::cost::Size;
+use crate::factorise::{Colors, Factorised, Settings};
+use crate::inverse::Solution;
+use crate::plan::Plan;
+use crate::scene::Scene;
+use crate::select;
+use crate::specular::Gloss;
+use crate::transfer::{self, Traced};
+use crate::{EstimateError, Options, Progress, inverse, refit, remesh, response, segmentation, sh, witness};
+use firmware_config::{EstimatorConfig, SolverChoice};
+use glam::Vec3;
+use recordings::result::{Decision, Light, ResultKeyframe, Segment, WitnessError};
+use recordings::scan::{Scan, ScanSource};
+use recordings::types::{Keyframe, Mesh};
+use std::sync::Arc;
+
+/// What §3.1 and §3.2 make of a scan.
+pub struct Ready {
+    /// Regular mesh.
+    pub mesh: Mesh,
+    /// The same for rays.
+    pub scene: Scene,
+    /// Surface light field.
+    pub fields: Association,
+    /// Segment of every vertex.
+    pub segment: Vec<u32>,
+    /// Number of segments.
+    pub segments: usize,
+    /// What was decided so far.
+    pub decisions: Vec<Decision>,
+    /// What the user should know so far.
+    pub warnings: Vec<String>,
+}
+
+impl Ready {
+    /// What is to be factorised.
+    #[must_use]
+    pub fn colors(&self) -> Colors<'_> {
+        Colors {
+            lit_color: &self.fields.lit_color,
+            lit_weight: &self.fields.lit_weight,
+            segment: &self.segment,
+            segments: self.segments,
+        }
+    }
+}
+
+/// How large a scan is.
+#[must_use]
+pub fn size(scan: &Scan, config: &EstimatorConfig) -> Size {
+    let pixels = |k: &Keyframe| f64::from(k.camera.intrinsics.width) * f64::from(k.camera.intrinsics.height);
+    let scanned = scan.mesh.positions.len() as f64;
+    let remeshed = scan.source == ScanSource::Fusion && config.regularise > 0.0;
+    Size {
+        scanned,
+        remeshed,
+        vertices: if remeshed { scanned.min(f64::from(config.max_vertices)) } else { scanned },
+        keyframes: scan.keyframes.len() as f64,
+        pixels: scan.keyframes.first().map_or(0.0, pixels),
+        witnesses: scan.witnesses.len() as f64,
+    }
+}
+
+/// Mesh, association (Eqs. 2–5) and segments (Eqs. 6–7).
+///
+/// # Errors
+/// The scan is unusable: no vertices, or no keyframe that can be read.
+pub fn prepare(
+    scan: &Scan,
+    config: &EstimatorConfig,
+    plan: &mut Plan,
+    progress: &dyn Progress,
+) -> Result<Ready, EstimateError> {
+    progress.stage("mesh", 0.0);
+    let mesh = if plan.shape().vertices < size(scan, config).vertices as usize {
+        remesh::coarsened(&scan.mesh, plan.shape().vertices)
+    } else {
+        remesh::regularise(&scan.mesh, config, scan.source)
+    };
+    let scene = Scene::new(&mesh);
+    if mesh.positions.is_empty() || mesh.triangles.is_empty() {
+        return Err(EstimateError::Unusable("the mesh has no triangle".into()));
+    }
+    plan.mesh_done(mesh.positions.len());
+    let shape = plan.shape();
+    let effort =
+        Effort { rounds: shape.pose_rounds, stride: shape.keyframe_stride, go_on: &mut |round| plan.pose_round(round) };
+    let mut fields =
+        association::associate_within(&mesh, &scene, &scan.keyframes, &scan.sensor.response, config, progress, effort);
+    plan.association_done();
+    let mut decisions = std::mem::take(&mut fields.decisions);
+    let (decision, doubt) = response::verify(&fields, &scan.sensor.response);
+    decisions.push(decision);
+    if fields.lit_weight.iter().all(|w| *w <= 0.0) {
+        return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
+    }
+    progress.stage("segmentation", 0.0);
+    let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
+    let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
+    plan.segmentation_done();
+    Ok(Ready { mesh, scene, fields, segment, segments, decisions, warnings: Vec::from_iter(doubt) })
+}
+
+/// Transfer (Eq. 8) with the rays that are set, or with a few, by which [`settle`] sees whether more are required.
+pub fn transfer(
+    ready: &Ready,
+    config: &EstimatorConfig,
+    options: &Options,
+    plan: &mut Plan,
+    progress: &dyn Progress,
+) -> Arc<Traced> {
+    let bands = plan.shape().bands;
+    let pilot = select::pilot(&ready.mesh, &ready.scene, config.seed);
+    if select::is_open(config, pilot.blocked) {
+        return Arc::new(transfer::unoccluded(&ready.mesh, bands));
+    }
+    let most = plan.shape().rays;
+    let explicit = config.rays > 0 || options.rounds.is_some();
+    let rays = if explicit { most } else { most.min(select::PILOT_RAYS) };
+    trace(ready, config, rays, plan, progress)
+}
+
+/// Rays, fewer if they are not there in time.
+fn trace(
+    ready: &Ready,
+    config: &EstimatorConfig,
+    mut rays: u32,
+    plan: &mut Plan,
+    progress: &dyn Progress,
+) -> Arc<Traced> {
+    let bands = plan.shape().bands;
+    loop {
+        let watch = plan.watch_rays(rays);
+        let go_on = |share| {
+            progress.stage("transfer", share);
+            watch(share)
+        };
+        let traced = transfer::trace_while(&ready.mesh, &ready.scene, bands, rays, config.seed, &go_on);
+        drop(watch);
+        if let Some(traced) = traced {
+            plan.rays_done(rays);
+            return Arc::new(traced);
+        }
+        match plan.fewer_rays(rays) {
+            Some(fewer) => rays = fewer,
+            None => return Arc::new(transfer::unoccluded(&ready.mesh, bands)),
+        }
+    }
+}
+
+/// The model that the scene requires.
+pub struct Settled {
+    /// Transfer with as many rays as are required.
+    pub traced: Arc<Traced>,
+    /// Transfer level, bounces and bands.
+    pub settings: Settings,
+    /// Where the factorisation may start from.
+    pub start: Option<(Solution, Detail)>,
+}
+
+/// Bounces, bands and rays, by evidence within what the plan allows.
+pub fn settle(
+    ready: &mut Ready,
+    traced: Arc<Traced>,
+    config: &EstimatorConfig,
+    options: &Options,
+    plan: &mut Plan,
+    progress: &dyn Progress,
+) -> Settled {
+    progress.stage("factorisation", 0.0);
+    let (bounces, most) = plan.light(traced.mean_blocked());
+    let (gi, _) = select::interreflects(config, &traced);
+    let settings = Settings { gi, bands: most, bounces, solver: config.solver };
+    if config.bands > 0 || config.solver != SolverChoice::Robust {
+        return Settled { traced, settings, start: None };
+    }
+    let selected = select::bands(&traced, &ready.colors(), gi, bounces, most);
+    ready.decisions.push(selected.decision);
+    let settings = Settings { bands: selected.bands, ..settings };
+    let mut settled = Settled { traced, settings, start: Some(selected.start) };
+    if config.rays == 0 && options.rounds.is_none() && settled.traced.rays > 0 {
+        let wanted = select::rays(&settled.traced, selected.held_out);
+        let rays = plan.more_rays(wanted, settled.traced.rays, settled.traced.mean_blocked(), selected.bands);
+        settled.settings.bounces = plan.shape().bounces;
+        if rays > settled.traced.rays {
+            let better = trace(ready, config, rays, plan, progress);
+            // Rays that were given up leave those that are there.
+            if better.rays > settled.traced.rays {
+                settled.traced = better;
+            }
+        }
+    }
+    settled
+}
+
+/// Frames that no step used, as far as there is time.
+pub fn witnesses(
+    ready: &Ready,
+    scan: &Scan,
+    found: &Factorised,
+    gloss: &[Gloss],
+    lit_with_gloss: &[Vec3],
+    plan: &mut Plan,
+) -> Vec<WitnessError> {
+    let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
+    let model = witness::Model {
+        reflection: refit::reflection(&ready.mesh, &ready.scene, found),
+        lit_color: lit_with_gloss,
+        lit_weight: &ready.fields.lit_weight,
+        diffuse: &diffuse,
+        segment: &ready.segment,
+        gloss,
+    };
+    let mut compared = Vec::new();
+    for (i, frame) in scan.witnesses.iter().enumerate() {
+        if !plan.witness() {
+            plan.cuts.push(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
+            break;
+        }
+        compared.extend(witness::compare(&model, frame, &scan.sensor.response));
+    }
+    compared
+}
+
+/// Keyframes as they are left.
+#[must_use]
+pub fn keyframes(scan: &Scan, ready: &Ready) -> Vec<ResultKeyframe> {
+    let keyframes = scan.keyframes.iter().zip(&ready.fields.views);
+    let keyframes = keyframes.map(|(k, v)| ResultKeyframe {
+        name: k.name.clone(),
+        timestamp_ns: k.color.timestamp_ns,
+        gain: v.gain,
+        world_from_camera: v.world_from_camera,
+        camera: k.camera,
+        residual_px: v.residual_px,
+    });
+    keyframes.collect()
+}
+
+/// The light found.
+#[must_use]
+pub fn light(found: &Factorised) -> Light {
+    Light {
+        coefficients: found.solution.light.clone(),
+        standard_deviation: found.solution.standard_deviation.clone(),
+        directions: inverse::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
+        radiance: found.solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
+    }
+}
+
+/// The segments found.
+#[must_use]
+pub fn segment_table(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
+    let mut vertices = vec![0u32; gloss.len()];
+    for s in segment {
+        vertices[*s as usize] += 1;
+    }
+    let rows = vertices.into_iter().zip(&found.solution.albedo).zip(gloss);
+    rows.map(|((vertices, albedo), g)| Segment {
+        vertices,
+        albedo: *albedo,
+        w_d: if g.significant { g.w_d } else { 1.0 },
+        w_s: if g.significant { g.w_s } else { 0.0 },
+        w_s_error: g.error,
+    })
+    .collect()
+}
+
+/// "diffuse", "shade" or "gi".
+#[must_use]
+pub fn transfer_level(found: &Factorised) -> &'static str {
+    match (found.transfer.traced.rays, &found.transfer.bounced) {
+        (0, _) => "diffuse",
+        (_, Some(_)) => "gi",
+        _ => "shade",
+    }
+}
+
+/// A word where the scene's surfaces do not tell most of the light.
+#[must_use]
+pub fn unseen_light(found: &Factorised) -> Option<String> {
+    let solution = &found.solution;
+    let level = solution.light.first().map_or(0.0, |c| c.iter().sum::<f64>() / 3.0);
+    // The linear band is three coefficients; a wall tells one of them at best.
+    let vague = |k: usize| {
+        let deviation = solution.standard_deviation.get(k).map_or(f64::INFINITY, |d| d.iter().sum::<f64>() / 3.0);
+        deviation > UNTOLD * level
+    };
+    let untold = (1..4).filter(|k| vague(*k)).count();
+    (untold > 0 && solution.light.len() < sh::MAX_COEFFICIENTS).then(|| {
+        format!(
+            "light: {untold} of the 3 directions of its first band are not told by these surfaces; the rest of the light \
+             cannot be seen from here"
+        )
+    })
+}
+
+/// A coefficient of the first band is untold if its deviation exceeds this share of the mean light's coefficient.
+const UNTOLD: f64 = 0.25;
+
+/// What transfer was chosen, and on what evidence.
+#[must_use]
+pub fn transfer_decision(found: &Factorised, config: &EstimatorConfig) -> Decision {
+    let traced = &found.transfer.traced;
+    let (_, grey) = select::interreflects(config, traced);
+    let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
+        format!(
+            "; {} bounces bring {:.1} % of the light, the last {:.2} %",
+            b.bounces,
+            100.0 * b.share,
+            100.0 * b.last_share
+        )
+    });
+    let level = transfer_level(found);
+    let (vertices, rays) = (traced.vertices(), traced.rays);
+    Decision {
+        name: "transfer".into(),
+        choice: level.into(),
+        evidence: format!(
+            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}; cost: {:.1} \
+             million rays",
+            100.0 * traced.mean_blocked(),
+            traced.relative_error(),
+            vertices as f64 * f64::from(rays) / 1e6
+        ),
+        next_level: match level {
+            "diffuse" => "visibility: less than the colours err".into(),
+            "shade" => format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * grey),
+            _ => format!(
+                "twice the rays: relative standard error about {:.3}",
+                select::ERROR_OF_TWICE * traced.relative_error()
+            ),
+        },
+    }
+}

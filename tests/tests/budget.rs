@@ -1,0 +1,139 @@
+//! The promise of the budget, on machines that exist on paper only: time passes there as work is reported.
+
+#![allow(clippy::expect_used, reason = "these are tests")]
+
+use estimator::plan::{Machine, Plan};
+use estimator::{Options, Progress, estimate_on, stages};
+use firmware_config::EstimatorConfig;
+use glam::Vec3;
+use recordings::result::{ABANDONED, Estimate};
+use recordings::scan::Scan;
+use std::sync::Mutex;
+use std::time::Duration;
+use tests::scans::{globe, joined, scan, shaded, sheet};
+
+struct Quiet;
+impl Progress for Quiet {
+    fn stage(&self, _: &'static str, _: f64) {}
+}
+
+/// As fast as it is said to be, and standing still when it is said to.
+struct Simulated {
+    /// Reference seconds a second.
+    speed: f64,
+    /// When it stalls, and for how long.
+    stalls: Vec<(f64, f64)>,
+    now: Mutex<f64>,
+}
+
+impl Simulated {
+    fn new(speed: f64, stalls: &[(f64, f64)]) -> Self {
+        Self { speed, stalls: stalls.to_vec(), now: Mutex::new(0.0) }
+    }
+}
+
+impl Machine for Simulated {
+    fn now(&self) -> f64 {
+        *self.now.lock().expect("nobody panicked")
+    }
+
+    fn worked(&self, reference_seconds: f64) {
+        let mut now = self.now.lock().expect("nobody panicked");
+        let before = *now;
+        *now += reference_seconds / self.speed;
+        for (at, seconds) in &self.stalls {
+            if (before..*now).contains(at) {
+                *now += seconds;
+            }
+        }
+    }
+}
+
+fn run(scan: &Scan, machine: &Simulated, budget: f64) -> Estimate {
+    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None };
+    let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
+    assert!(e.albedo.iter().all(|a| a.is_finite()), "a valid result");
+    assert!(e.confidence.iter().any(|c| *c > 0.1), "that says something");
+    e
+}
+
+/// Three walls that meet: 7500 vertices that see one another, so that there is something to bounce.
+fn corner() -> Scan {
+    let at = Vec3::splat(-0.5);
+    let walls = [sheet(49, at, Vec3::X, Vec3::Y), sheet(49, at, Vec3::Y, Vec3::Z), sheet(49, at, Vec3::Z, Vec3::X)];
+    scan(joined(&walls), 3, 2.0, shaded)
+}
+
+#[test]
+fn a_fast_machine_cuts_nothing() {
+    let machine = Simulated::new(1.0, &[]);
+    let e = run(&corner(), &machine, 120.0);
+    assert!(e.cuts.is_empty(), "{:?}", e.cuts);
+    assert!(machine.now() < 120.0);
+}
+
+#[test]
+fn slower_machines_cut_in_order_and_keep_the_budget() {
+    let scan = corner();
+    let mut last = 0;
+    for (speed, budget) in [(0.05, 60.0), (0.01, 120.0), (0.01, 60.0)] {
+        let machine = Simulated::new(speed, &[]);
+        let e = run(&scan, &machine, budget);
+        let now = machine.now();
+        println!("{speed} of the reference, {budget} s: {now:.1} s, cuts {:?}", e.cuts);
+        assert!(now <= budget, "{now} s of {budget}");
+        let cut = |what: &str| e.cuts.iter().any(|c| c.starts_with(what));
+        assert!(!cut("vertices") || cut("rays"), "rays before vertices: {:?}", e.cuts);
+        assert!(!cut("rays") || cut("bounces"), "bounces before rays: {:?}", e.cuts);
+        assert!(!e.cuts.iter().any(|c| c.starts_with(ABANDONED)), "planned, not abandoned: {:?}", e.cuts);
+        assert!(e.cuts.len() >= last, "a slower machine cuts no less");
+        last = e.cuts.len();
+    }
+    assert!(last > 0, "the slowest machine had to cut");
+}
+
+#[test]
+fn stalls_are_survived_wherever_they_come() {
+    let scan = corner();
+    for at in [0.01, 1.0, 3.0, 6.0, 9.0, 12.0] {
+        let machine = Simulated::new(0.1, &[(at, 10.0)]);
+        let e = run(&scan, &machine, 40.0);
+        let now = machine.now();
+        println!("10 s lost at {at} s: {now:.1} s, cuts {:?}", e.cuts);
+        assert!(now <= 40.0, "10 s lost at {at} s: {now} s");
+    }
+}
+
+#[test]
+fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
+    let (scan, config) = (corner(), EstimatorConfig::default());
+    let machine = Simulated::new(1.0, &[]);
+    let options = Options { budget: Duration::from_secs(40), rounds: None };
+    let mut plan = Plan::new(&machine, &options, &config, stages::size(&scan, &config));
+    let stall = |seconds: f64| *machine.now.lock().expect("nobody panicked") += seconds;
+    let watch = plan.watch_rays(64);
+    assert!(watch(0.1), "all is well");
+    stall(20.0);
+    assert!(!watch(0.15), "at this pace they would take minutes");
+    drop(watch);
+    assert_eq!(plan.fewer_rays(64), Some(16));
+    assert!(plan.cuts.iter().any(|c| c.starts_with("rays: 16")), "{:?}", plan.cuts);
+    stall(19.5);
+    assert_eq!(plan.fewer_rays(16), None, "no time for any");
+    assert!(plan.cuts.iter().any(|c| c.starts_with(ABANDONED)), "{:?}", plan.cuts);
+}
+
+/// Rounds replace the clock: whatever the machine does, the bytes are the same.
+#[test]
+fn rounds_replace_the_clock() {
+    let scan = scan(globe(24, 0.5, 1.0), 3, 2.0, shaded);
+    let options = Options { budget: Duration::from_millis(1), rounds: Some(1) };
+    let run = |speed| {
+        let machine = Simulated::new(speed, &[(0.0, 10.0)]);
+        let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
+        assert_eq!(machine.now(), 0.0, "the clock is neither read nor advanced");
+        e
+    };
+    let (fast, slow) = (run(1.0), run(1e-6));
+    assert!(fast == slow && fast.cuts.is_empty());
+}
