@@ -4,100 +4,22 @@ use estimator::scene::Scene;
 use estimator::transfer::{self, Transfer};
 use estimator::{EstimateError, Options, Progress};
 use firmware_config::EstimatorConfig;
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use glam::Vec3;
 use recordings::result::Estimate;
-use recordings::scan::{CaptureStats, Scan, ScanSource};
-use recordings::types::{
-    CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose, Response, Sensor,
-};
-use std::f32::consts::PI;
+use recordings::scan::Scan;
+use recordings::types::Mesh;
 use std::sync::Arc;
 use std::time::Duration;
+use tests::scans::{globe, scan, shaded, sheet};
 
 struct Quiet;
 impl Progress for Quiet {
     fn stage(&self, _: &'static str, _: f64) {}
 }
 
-/// A sphere of `n` rings, normals outward (`sign` = 1) or inward (−1).
-fn sphere(n: u32, radius: f32, sign: f32) -> Mesh {
-    let mut mesh = Mesh::default();
-    for i in 0..=n {
-        for j in 0..2 * n {
-            let (theta, phi) = (PI * i as f32 / n as f32, PI * j as f32 / n as f32);
-            let ((sin, cos), (sin_phi, cos_phi)) = (libm::sincosf(theta), libm::sincosf(phi));
-            let p = Vec3::new(sin * cos_phi, sin * sin_phi, cos);
-            mesh.positions.push(p * radius);
-            mesh.normals.push(p * sign);
-            let at = |i: u32, j: u32| i * 2 * n + j % (2 * n);
-            if i < n {
-                mesh.triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
-                mesh.triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
-            }
-        }
-    }
-    mesh
-}
-
 /// A flat wall of `n` × `n` quads in z = 0, facing +z.
 fn wall(n: u32, size: f32) -> Mesh {
-    let mut mesh = Mesh::default();
-    for i in 0..=n {
-        for j in 0..=n {
-            mesh.positions.push(Vec3::new(i as f32 / n as f32 - 0.5, j as f32 / n as f32 - 0.5, 0.0) * size);
-            mesh.normals.push(Vec3::Z);
-            if i < n && j < n {
-                let at = |i: u32, j: u32| i * (n + 1) + j;
-                mesh.triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
-                mesh.triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
-            }
-        }
-    }
-    mesh
-}
-
-/// A scan of `mesh` from `views` cameras `distance` away that look at the origin, painted by `pixel(x, y)`.
-fn scan(mesh: Mesh, views: usize, distance: f64, pixel: fn(u32, u32) -> [u8; 3]) -> Scan {
-    let (width, height) = (96, 72);
-    let intrinsics = Intrinsics { width, height, fx: 80.0, fy: 80.0, cx: 47.5, cy: 35.5 };
-    let camera = CameraModel { intrinsics, distortion: Distortion::default() };
-    let bytes: Vec<u8> = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
-    let keyframes = (0..views).map(|v| {
-        let angle = 0.25 * v as f64;
-        let center = DVec3::new(libm::sin(angle), 0.3, libm::cos(angle)).normalize() * distance;
-        let forward = -center.normalize();
-        let right = forward.cross(DVec3::Y).normalize();
-        let rotation = DQuat::from_mat3(&DMat3::from_cols(right, forward.cross(right), forward));
-        let color = ColorFrame {
-            timestamp_ns: v as i64,
-            width,
-            height,
-            encoding: ColorEncoding::Rgb,
-            bytes: bytes.clone(),
-            missing_packets: 0,
-        };
-        Keyframe { name: format!("{v}"), world_from_camera: Pose::new(rotation, center), camera, color }
-    });
-    Scan {
-        name: "extreme".into(),
-        source: ScanSource::Photos,
-        sensor: Sensor {
-            name: "test".into(),
-            serial: String::new(),
-            color: camera,
-            depth: camera,
-            color_from_depth: Pose::IDENTITY,
-            depth_registered: true,
-            depth_unit_m: 0.001,
-            response: Response::Srgb,
-            depth_to_color_offset_ns: 0,
-        },
-        mesh,
-        keyframes: keyframes.collect(),
-        witnesses: vec![],
-        config: String::new(),
-        stats: CaptureStats::default(),
-    }
+    sheet(n, Vec3::new(-0.5, -0.5, 0.0) * size, Vec3::X * size, Vec3::Y * size)
 }
 
 fn run(scan: &Scan) -> Result<Estimate, EstimateError> {
@@ -115,23 +37,18 @@ fn run(scan: &Scan) -> Result<Estimate, EstimateError> {
     Ok(e)
 }
 
-/// Grey levels that fall with the row.
-fn shaded(_: u32, y: u32) -> [u8; 3] {
-    [200 - 2 * y.min(70) as u8; 3]
-}
-
 #[test]
 fn nothing_to_work_with_is_refused() {
     for mesh in [Mesh::default(), Mesh { positions: vec![Vec3::ZERO], normals: vec![Vec3::Z], triangles: vec![] }] {
         assert!(matches!(run(&scan(mesh, 3, 2.0, shaded)), Err(EstimateError::Unusable(_))), "no triangle");
     }
-    assert!(matches!(run(&scan(sphere(12, 0.5, 1.0), 0, 2.0, shaded)), Err(EstimateError::Unusable(_))), "no keyframe");
+    assert!(matches!(run(&scan(globe(12, 0.5, 1.0), 0, 2.0, shaded)), Err(EstimateError::Unusable(_))), "no keyframe");
 }
 
 #[test]
 fn black_and_clipped_pictures_are_believed_in_nothing() {
     for pixel in [|_, _| [0; 3], |_, _| [255; 3]] as [fn(u32, u32) -> [u8; 3]; 2] {
-        match run(&scan(sphere(12, 0.5, 1.0), 3, 2.0, pixel)) {
+        match run(&scan(globe(12, 0.5, 1.0), 3, 2.0, pixel)) {
             Err(EstimateError::Unusable(why)) => assert!(!why.is_empty()),
             Ok(e) => assert!(e.confidence.iter().all(|c| *c < 0.1), "confident in {:?}", pixel(0, 0)),
         }
@@ -140,7 +57,7 @@ fn black_and_clipped_pictures_are_believed_in_nothing() {
 
 #[test]
 fn one_keyframe_gives_an_answer_and_a_warning() {
-    let e = run(&scan(sphere(16, 0.5, 1.0), 1, 2.0, shaded)).expect("an answer");
+    let e = run(&scan(globe(16, 0.5, 1.0), 1, 2.0, shaded)).expect("an answer");
     assert!(e.warnings.iter().any(|w| w.contains("one keyframe")), "{:?}", e.warnings);
     assert!(e.confidence.contains(&0.0), "its back was never seen");
     assert!(e.confidence.iter().any(|c| *c > 0.1), "its front was");
@@ -155,7 +72,7 @@ fn a_wall_has_neither_bounces_nor_gloss() {
 
 #[test]
 fn hostile_geometry_ends_in_an_answer() {
-    let mut mesh = sphere(16, 0.5, 1.0);
+    let mut mesh = globe(16, 0.5, 1.0);
     let n = mesh.positions.len() as u32;
     mesh.positions.extend([Vec3::splat(f32::NAN), Vec3::splat(1e30), Vec3::ZERO]);
     mesh.normals.extend([Vec3::splat(f32::NAN), Vec3::ZERO, Vec3::ZERO]);
@@ -165,7 +82,7 @@ fn hostile_geometry_ends_in_an_answer() {
 
 #[test]
 fn scale_does_not_matter() {
-    let at = |size: f32| run(&scan(sphere(16, 0.5 * size, 1.0), 3, 2.0 * f64::from(size), shaded)).expect("an answer");
+    let at = |size: f32| run(&scan(globe(16, 0.5 * size, 1.0), 3, 2.0 * f64::from(size), shaded)).expect("an answer");
     let (small, large) = (at(0.01), at(100.0));
     for (a, b) in small.albedo.iter().zip(&large.albedo) {
         assert!((*a - *b).length() < 1e-3 * (1.0 + a.length()), "albedo {a} {b}");
@@ -181,7 +98,7 @@ fn scale_does_not_matter() {
 /// Inside a closed sphere of albedo ρ with unit emission the radiosity is 1/(1 − ρ): the bounces are that series.
 #[test]
 fn closed_sphere_is_the_geometric_series() {
-    let mesh = sphere(24, 1.0, -1.0);
+    let mesh = globe(24, 1.0, -1.0);
     let mut traced = transfer::trace(&mesh, &Scene::new(&mesh), 1, 64, 1, &|_| ());
     assert!(traced.blocked.iter().all(|b| *b == 1.0), "no ray leaves a closed sphere");
     // Emission in the place of light from outside.
@@ -201,7 +118,7 @@ fn closed_sphere_is_the_geometric_series() {
 
 #[test]
 fn same_bits_for_any_thread_count() {
-    let scan = scan(sphere(16, 0.5, 1.0), 3, 2.0, shaded);
+    let scan = scan(globe(16, 0.5, 1.0), 3, 2.0, shaded);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| run(&scan).expect("an answer"))
