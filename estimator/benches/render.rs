@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod usage;
+
 use estimator::reality::change::{Changed, change};
 use estimator::reality::compose::{Viewpoint, compose, model};
 use estimator::reality::infer::infer;
@@ -17,6 +19,7 @@ use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, Light, Segment};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
 use std::time::Instant;
+use usage::{peak_mib, processor_s};
 
 /// Panoramas of the sequence and their width.
 const LIGHTS: usize = 24;
@@ -34,11 +37,11 @@ fn main() {
     let before = change(&estimate, around(), &nothing, &[], &config);
     let photo = model(&before, &view, &config);
     let over = |name: &str, make: &dyn Fn() -> Changed| {
-        let (cpu, wall) = (cpu_s(), Instant::now());
+        let (cpu, wall) = (processor_s(), Instant::now());
         let picture = compose(&make(), &view, &photo, &config);
         let touched = picture.touched.iter().filter(|t| **t).count();
-        let (cpu, wall) = (cpu_s() - cpu, wall.elapsed().as_secs_f64());
-        println!("{name}: {wall:.2} s ({cpu:.2} s of CPU), {touched} pixels changed; peak {} MiB", peak_mib());
+        let (cpu, wall) = (processor_s() - cpu, wall.elapsed().as_secs_f64());
+        println!("{name}: {wall:.2} s ({cpu:.2} s of CPU), {touched} pixels changed; peak {:.0} MiB", peak_mib());
     };
     let mut thing = Object { mesh: ball(48, 48), materials: vec![Material::default()], ..Object::default() };
     thing.material = vec![0; thing.mesh.triangles.len()];
@@ -48,21 +51,21 @@ fn main() {
     let gone = select(&estimate.mesh, &estimate.segment, &scene, &[low]).expect("the ball is there");
     over("remove from a photo", &|| change(&estimate, around(), &gone, &[], &config));
 
-    let (cpu, wall) = (cpu_s(), Instant::now());
+    let (cpu, wall) = (processor_s(), Instant::now());
     let relight = Relight::new(&before, &config, &|_| {});
     let kept = relight.view(&before, &view, &config);
-    println!("transfer: {:.2} s ({:.2} s of CPU)", wall.elapsed().as_secs_f64(), cpu_s() - cpu);
+    println!("transfer: {:.2} s ({:.2} s of CPU)", wall.elapsed().as_secs_f64(), processor_s() - cpu);
     let panoramas: Vec<Panorama> = (0..LIGHTS).map(panorama).collect();
     let projector = Projector::new(&panoramas[0], BANDS);
-    let (cpu, wall) = (cpu_s(), Instant::now());
+    let (cpu, wall) = (processor_s(), Instant::now());
     for p in &panoramas {
         let light = NewLight { coefficients: projector.project(p), environment: p.environment(0.0) };
         let picture = relight.picture(&kept, &light, Vec3::ONE, None);
         assert!(picture.linear.iter().any(|p| p.y > 0.0));
     }
     let n = LIGHTS as f64;
-    let (cpu, wall) = ((cpu_s() - cpu) / n, wall.elapsed().as_secs_f64() / n);
-    println!("relight: {:.1} frames/s ({:.0} ms of CPU a frame); peak {} MiB", 1.0 / wall, cpu * 1e3, peak_mib());
+    let (cpu, wall) = ((processor_s() - cpu) / n, wall.elapsed().as_secs_f64() / n);
+    println!("relight: {:.1} frames/s ({:.0} ms of CPU a frame); peak {:.0} MiB", 1.0 / wall, cpu * 1e3, peak_mib());
 }
 
 /// A table of 1.2 m with a ball on it.
@@ -159,18 +162,4 @@ fn panorama(frame: usize) -> Panorama {
         Vec3::splat(if near { 60.0 } else { 0.4 })
     });
     Panorama::new(PANORAMA, pixels.collect()).expect("a panorama")
-}
-
-/// CPU seconds of this process, from /proc.
-fn cpu_s() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<f64> =
-        stat.rsplit(") ").next().unwrap_or("").split(' ').map(|f| f.parse().unwrap_or(0.0)).collect();
-    (fields.get(11).unwrap_or(&0.0) + fields.get(12).unwrap_or(&0.0)) / 100.0
-}
-
-fn peak_mib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap_or("0");
-    line.split_whitespace().next().and_then(|x| x.parse::<u64>().ok()).unwrap_or(0) / 1024
 }

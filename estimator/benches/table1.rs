@@ -5,6 +5,8 @@
 // The paper's 3.14 seconds are no π.
 #![allow(clippy::expect_used, clippy::approx_constant)]
 
+mod usage;
+
 use estimator::factorise::{Colors, Settings, factorise};
 use estimator::scene::Scene;
 use estimator::{Options, Progress, association, remesh, segmentation, sh, transfer};
@@ -14,6 +16,7 @@ use recordings::photos::import_photos;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use usage::{peak_mib, processor_s};
 
 /// Vertices, and the paper's seconds: diffuse, shade, gi, segmentation, iteration, total.
 const PAPER: [(usize, [f64; 6]); 5] = [
@@ -37,21 +40,6 @@ fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let start = Instant::now();
     let made = work();
     (made, start.elapsed().as_secs_f64())
-}
-
-/// Largest memory this process has held, in MiB. Sizes rise, so it is that of the size at hand.
-fn peak_mib() -> f64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
-    line.and_then(|l| l.trim().trim_end_matches(" kB").parse::<f64>().ok()).unwrap_or(f64::NAN) / 1024.0
-}
-
-/// Processor seconds of this process so far, in ticks of a hundredth: what a busy machine does not stretch.
-fn processor() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
-    let ticks = |i: usize| fields.get(i).and_then(|f| f.parse::<f64>().ok()).unwrap_or(f64::NAN);
-    (ticks(11) + ticks(12)) / 100.0
 }
 
 fn main() {
@@ -104,9 +92,9 @@ fn main() {
         scan.mesh = mesh.clone();
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
         let config = EstimatorConfig { regularise: 1.0, ..config };
-        let before = processor();
+        let before = processor_s();
         let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &progress).expect("an answer"));
-        let busy = processor() - before;
+        let busy = processor_s() - before;
         all_in.push((mesh.positions.len() as f64, busy));
         let total = gi + segmentation + iteration;
         row(

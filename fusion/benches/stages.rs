@@ -4,6 +4,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+mod usage;
 #[path = "../tests/world/mod.rs"]
 mod world;
 
@@ -12,6 +13,7 @@ use fusion::Fusion;
 use glam::DVec3;
 use std::process::Command;
 use std::time::Instant;
+use usage::{cpu_ms, peak_mib};
 
 const FRAMES: usize = 60;
 /// Set in the processes that measure, which are told their instruction set by `LUMISCAN_ISA`.
@@ -85,23 +87,6 @@ fn measure() {
 fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values[values.len() / 2]
-}
-
-/// CPU time of this process's threads so far, in milliseconds (Linux; 0 elsewhere).
-fn cpu_ms() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    tasks
-        .filter_map(|t| std::fs::read_to_string(t.ok()?.path().join("schedstat")).ok())
-        .filter_map(|s| s.split_whitespace().next()?.parse::<f64>().ok())
-        .sum::<f64>()
-        * 1e-6
-}
-
-/// Peak resident memory in MiB (Linux; 0 elsewhere).
-fn peak_mib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
-    line.and_then(|l| l.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
 /// Time per tracing span (the stages of `Fusion::push`), and the voxels that integration says it touched.

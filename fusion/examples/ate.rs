@@ -5,6 +5,9 @@
 //!
 //! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`.
 
+#[path = "../benches/usage/mod.rs"]
+mod usage;
+
 use firmware_config::Config;
 use fusion::{Fusion, FusionOutput, Tracking};
 use glam::{DMat3, DQuat, DVec3, Vec3};
@@ -16,6 +19,7 @@ use std::error::Error;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use usage::{cpu_ms, peak_mib};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -375,23 +379,6 @@ fn tum_lines(result: &FusionOutput) -> String {
         );
     }
     text
-}
-
-/// CPU time of this process's threads so far, in milliseconds (Linux; 0 elsewhere).
-fn cpu_ms() -> f64 {
-    let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
-    tasks
-        .filter_map(|t| std::fs::read_to_string(t.ok()?.path().join("schedstat")).ok())
-        .filter_map(|s| s.split_whitespace().next()?.parse::<f64>().ok())
-        .sum::<f64>()
-        * 1e-6
-}
-
-/// Peak resident memory in MiB (Linux; 0 elsewhere).
-fn peak_mib() -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
-    line.and_then(|l| l.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
 /// CPU time per tracing span (the stages of `Fusion::push`), complete with one thread.
