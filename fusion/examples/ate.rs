@@ -1,9 +1,11 @@
 //! Runs TUM RGB-D folders through fusion and prints what the project is judged by: trajectory error, share of frames
 //! tracked, CPU time per frame and stage, mesh against truth.
 //!
-//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… [FOLDER[=TRUTH_MESH]…]`
+//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… [--every N] [--backwards]
+//! [--loop N] [--drop N] [FOLDER[=TRUTH_MESH]…]`
 //!
-//! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`.
+//! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`. `--every N` plays each Nth frame,
+//! `--loop N` forward and backward in turns, `--drop N` leaves out N frames of every 30.
 
 #[path = "../benches/usage/mod.rs"]
 mod usage;
@@ -13,7 +15,7 @@ use fusion::{Fusion, FusionOutput, Tracking};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::recording::Event;
 use recordings::tum::TumReader;
-use recordings::types::{ColorFrame, Mesh, RgbdFrame, Sensor};
+use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor};
 use std::collections::HashMap;
 use std::error::Error;
 use std::fmt::Write as _;
@@ -28,12 +30,17 @@ fn main() -> Result<()> {
     let mut out: Option<PathBuf> = None;
     let mut folders = Vec::new();
     let mut threads = 1;
+    let mut play = Play { every: 1, backwards: false, loops: 1, drop: 0 };
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--out" => out = Some(args.next().ok_or("--out needs a folder")?.into()),
             "--threads" => threads = args.next().ok_or("--threads needs a number")?.parse()?,
             "--set" => config.set(&args.next().ok_or("--set needs key=value")?)?,
+            "--every" => play.every = args.next().ok_or("--every needs a number")?.parse::<usize>()?.max(1),
+            "--backwards" => play.backwards = true,
+            "--loop" => play.loops = args.next().ok_or("--loop needs a number")?.parse()?,
+            "--drop" => play.drop = args.next().ok_or("--drop needs a number")?.parse()?,
             "--trace" => tracing::subscriber::set_global_default(stages::Printer)?,
             _ => folders.push(arg),
         }
@@ -49,7 +56,9 @@ fn main() -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     for folder in folders {
         let (dir, truth) = folder.split_once('=').map_or((folder.as_str(), None), |(d, t)| (d, Some(t)));
-        pool.install(|| run(Path::new(dir), truth.map(Path::new), &config, out.as_deref()).map_err(|e| e.to_string()))?;
+        pool.install(|| {
+            run(Path::new(dir), truth.map(Path::new), &config, &play, out.as_deref()).map_err(|e| e.to_string())
+        })?;
     }
     Ok(())
 }
@@ -72,15 +81,53 @@ fn shared_recordings(shared: &str) -> Result<Vec<String>> {
     Ok(found)
 }
 
-fn run(dir: &Path, truth: Option<&Path>, config: &Config, out: Option<&Path>) -> Result<()> {
+/// In what order a recording is played.
+struct Play {
+    every: usize,
+    backwards: bool,
+    loops: usize,
+    drop: usize,
+}
+
+/// A frame's number in the recording, and the stamps of depth and colour under which it is played.
+type Turn = (usize, i64, i64);
+
+impl Play {
+    /// The frames to play, on a clock that runs on where the recording is played backwards.
+    fn turns(&self, pairs: &[Pair]) -> Vec<Turn> {
+        let chosen: Vec<usize> =
+            (0..pairs.len()).filter(|i| i % 30 >= self.drop || *i < 30).step_by(self.every).collect();
+        let mut turns: Vec<Turn> = Vec::new();
+        let mut before: Option<usize> = None;
+        for round in 0..self.loops {
+            let back = (round % 2 == 1) != self.backwards;
+            let order: Vec<usize> = if back { chosen.iter().rev().copied().collect() } else { chosen.clone() };
+            for i in order {
+                let (depth, color) = (pairs[i].0.timestamp_ns, pairs[i].1.timestamp_ns);
+                let clock = match (before, turns.last()) {
+                    (Some(j), _) if i == j => continue,
+                    (Some(j), Some(last)) => last.2 + (color - pairs[j].1.timestamp_ns).abs(),
+                    _ => color,
+                };
+                turns.push((i, clock + if back { color - depth } else { depth - color }, clock));
+                before = Some(i);
+            }
+        }
+        turns
+    }
+}
+
+fn run(dir: &Path, truth: Option<&Path>, config: &Config, play: &Play, out: Option<&Path>) -> Result<()> {
     let (sensor, pairs) = read_pairs(dir)?;
+    let turns = play.turns(&pairs);
     let mut fusion = Fusion::new(&sensor, &config.fusion)?;
     stages::reset();
     let mut times = Vec::new();
     let mut lost = Vec::new();
-    for (i, (depth, color)) in pairs.iter().enumerate() {
-        let rgb = color.decode()?;
-        let frame = RgbdFrame { depth: depth.clone(), color: color.clone(), rgb };
+    for (i, (number, depth_ns, color_ns)) in turns.iter().enumerate() {
+        let (depth, color) = &pairs[*number];
+        let mut frame = RgbdFrame { depth: depth.clone(), color: color.clone(), rgb: color.decode()? };
+        (frame.depth.timestamp_ns, frame.color.timestamp_ns) = (*depth_ns, *color_ns);
         let (cpu, wall) = (cpu_ms(), Instant::now());
         let report = fusion.push(&frame)?;
         times.push((cpu_ms() - cpu, wall.elapsed().as_secs_f64() * 1e3));
@@ -92,6 +139,10 @@ fn run(dir: &Path, truth: Option<&Path>, config: &Config, out: Option<&Path>) ->
     let start = (cpu_ms(), Instant::now());
     let result = fusion.finish();
     let finish = (cpu_ms() - start.0, start.1.elapsed().as_secs_f64() * 1e3);
+    // Truth is looked up by the recording's own clock.
+    let own_clock: HashMap<i64, i64> = turns.iter().map(|t| (t.2, pairs[t.0].1.timestamp_ns)).collect();
+    let trajectory = result.trajectory.iter().map(|(t, p)| (own_clock[t], *p)).collect();
+    let result = FusionOutput { trajectory, ..result };
     println!("== {}", dir.display());
     let s = &result.stats;
     println!(
@@ -134,8 +185,10 @@ fn run(dir: &Path, truth: Option<&Path>, config: &Config, out: Option<&Path>) ->
     Ok(())
 }
 
+type Pair = (DepthFrame, ColorFrame);
+
 /// Each colour frame with the depth frame nearest in time, within 20 ms.
-fn read_pairs(dir: &Path) -> Result<(Sensor, Vec<(recordings::types::DepthFrame, ColorFrame)>)> {
+fn read_pairs(dir: &Path) -> Result<(Sensor, Vec<Pair>)> {
     let mut reader = TumReader::open(dir)?;
     let sensor = reader.sensor().clone();
     let (mut depths, mut colors) = (Vec::new(), Vec::new());
@@ -148,7 +201,7 @@ fn read_pairs(dir: &Path) -> Result<(Sensor, Vec<(recordings::types::DepthFrame,
     }
     let mut pairs = Vec::new();
     for c in colors {
-        let gap = |d: &recordings::types::DepthFrame| (d.timestamp_ns - c.timestamp_ns).abs();
+        let gap = |d: &DepthFrame| (d.timestamp_ns - c.timestamp_ns).abs();
         if let Some(d) = depths.iter().min_by_key(|d| gap(d)).filter(|d| gap(d) <= 20_000_000) {
             pairs.push((d.clone(), c));
         }
