@@ -29,10 +29,12 @@ section! {
         depth_square_radial: f64 = 0.0, [-0.5..=0.5], "1/m", "";
         /// Steepest depth slope accepted, as the tangent of the angle between view ray and normal; steeper pixels are grazing or flying.
         max_slope: f64 = 5.0, [1.0..=100.0], "", "";
-        /// Largest weight a voxel collects, in frames seen from 1 m.
+        /// Largest weight of what was seen before against what is new, in frames seen from 1 m.
         max_weight: f64 = 100.0, [4.0..=1000.0], "frames", "";
         /// Voxels with a lower weight give no surface.
         min_weight: f64 = 3.0, [0.0..=64.0], "frames", "";
+        /// Nor do voxels of a lower weight than this share of the surface's typical one: the longer a scan, the more rare readings add up.
+        min_weight_share: f64 = 0.015, [0.0..=0.5], "", "";
         /// Connected pieces of the mesh with fewer triangles are dropped.
         min_component_triangles: u32 = 200, [0..=1000000], "triangles", "";
         /// Work that a frame may cost, in CPU time of the reference machine of fusion/README.md: tracking is coarsened to fit, integration never. 0 = no limit.

@@ -12,6 +12,8 @@ use recordings::types::Mesh;
 
 /// Words of a block's edge bitmap: three axes × 512 voxels.
 const WORDS: usize = 3 * VOXELS / 64;
+/// Blocks whose weights are counted at a time.
+const SLOTS_COUNTED: usize = 1024;
 /// Samples along the edge of a block with its far neighbours' first layer.
 const PAD: usize = EDGE + 1;
 
@@ -94,10 +96,15 @@ impl BlockEdges {
     }
 }
 
-/// A block's samples and those of the first layer beyond it: distance in units of truncation, `None` below min weight.
+/// A block's samples and those of the first layer beyond it: distance in units of truncation, and weight.
 struct Padded {
     sdf: [f32; PAD * PAD * PAD],
-    known: [bool; PAD * PAD * PAD],
+    weight: [u16; PAD * PAD * PAD],
+}
+
+/// The neighbour in the direction of a corner of the block, by the corner's bits x, y, z.
+fn octant(bits: usize) -> IVec3 {
+    IVec3::new(bits as i32 & 1, bits as i32 >> 1 & 1, bits as i32 >> 2)
 }
 
 fn at(x: usize, y: usize, z: usize) -> usize {
@@ -105,10 +112,9 @@ fn at(x: usize, y: usize, z: usize) -> usize {
 }
 
 impl Padded {
-    fn gather(volume: &Volume, coord: BlockCoord, min_weight: u16) -> Self {
-        let mut out = Self { sdf: [1.0; PAD * PAD * PAD], known: [false; PAD * PAD * PAD] };
-        for octant in 0..8 {
-            let d = IVec3::new(octant & 1, octant >> 1 & 1, octant >> 2);
+    fn gather(volume: &Volume, coord: BlockCoord) -> Self {
+        let mut out = Self { sdf: [1.0; PAD * PAD * PAD], weight: [0; PAD * PAD * PAD] };
+        for d in (0..8).map(octant) {
             let Some(slot) = volume.find(coord + d) else { continue };
             let (sdf, weight) = volume.block(slot);
             let range = |k: i32| if k == 0 { 0..EDGE } else { 0..1 };
@@ -118,48 +124,143 @@ impl Padded {
                         let from = (z * EDGE + y) * EDGE + x;
                         let to = at(x + EDGE * d.x as usize, y + EDGE * d.y as usize, z + EDGE * d.z as usize);
                         out.sdf[to] = f32::from(sdf[from]) / SDF_ONE;
-                        out.known[to] = weight[from] >= min_weight;
+                        out.weight[to] = weight[from];
                     }
                 }
             }
         }
         out
     }
+
+    /// True if the surface lies between two samples.
+    fn cut(&self, a: usize, b: usize) -> bool {
+        (self.sdf[a] < 0.0) != (self.sdf[b] < 0.0)
+    }
 }
 
 const STEPS: [usize; 3] = [1, PAD, PAD * PAD];
 
-/// Extracts the surface: vertices welded, normals from the gradient of the distance, pieces of fewer than
-/// `min_triangles` triangles dropped. The order depends on the volume's content alone.
-pub fn extract(volume: &Volume, min_weight_frames: f32, min_triangles: usize) -> Mesh {
-    let min_weight = (min_weight_frames / WEIGHT_UNIT).max(1.0).min(f32::from(u16::MAX)) as u16;
+/// What of the volume becomes surface.
+#[derive(Debug, Clone, Copy)]
+pub struct Threshold {
+    /// Voxels of a lower weight give no surface, in frames seen from 1 m …
+    pub min_weight: f32,
+    /// … nor do those of a lower weight than this share of [`typical_weight`].
+    pub share: f32,
+    /// Connected pieces of fewer triangles are dropped.
+    pub min_triangles: usize,
+}
+
+/// Blocks of one z, with their edges.
+struct Layer<'a> {
+    slots: &'a [u32],
+    edges: Vec<BlockEdges>,
+}
+
+/// Extracts the surface: vertices welded, normals from the gradient of the distance. The order depends on the volume's
+/// content alone. Goes layer by layer: beside the mesh it holds the edges of the two layers that share vertices.
+pub fn extract(volume: &Volume, threshold: &Threshold) -> Mesh {
     let slots = volume.sorted_slots();
-    let mut order = vec![u32::MAX; volume.high_water()];
-    for (i, slot) in slots.iter().enumerate() {
-        order[*slot as usize] = i as u32;
-    }
-    let parts: Vec<(BlockEdges, Vec<Vec3>, Vec<Vec3>)> =
-        slots.par_iter().map(|slot| vertices(volume, volume.coord(*slot), min_weight)).collect();
-    let mut blocks = Vec::with_capacity(parts.len());
+    let counts = count_edges(volume, &slots);
+    let least = threshold.min_weight.max(threshold.share * typical_weight(&counts));
+    tracing::debug!(least, "surface from this weight on");
+    let min_weight = (least / WEIGHT_UNIT).clamp(1.0, f32::from(u16::MAX)) as u16;
+
     let mut mesh = Mesh::default();
+    let total = counts[usize::from(min_weight)..].iter().sum::<u64>() as usize;
+    mesh.positions.reserve_exact(total);
+    mesh.normals.reserve_exact(total);
+    let table = case_table();
+    // Where each slot stands in its layer.
+    let mut place = vec![0u32; volume.high_water()];
+    let mut lower = Layer { slots: &[], edges: Vec::new() };
+    for slots in slots.chunk_by(|a, b| volume.coord(*a).z == volume.coord(*b).z).chain([&[][..]]) {
+        for (i, slot) in slots.iter().enumerate() {
+            place[*slot as usize] = i as u32;
+        }
+        let upper = Layer { slots, edges: add_vertices(volume, slots, min_weight, &mut mesh) };
+        add_triangles(volume, &lower, &upper, &place, min_weight, &table, &mut mesh);
+        lower = upper;
+    }
+    drop_specks(&mut mesh, threshold.min_triangles);
+    mesh
+}
+
+/// How many lattice edges the surface cuts, by the lesser weight of their ends.
+fn count_edges(volume: &Volume, slots: &[u32]) -> Vec<u64> {
+    let mut counts = vec![0u64; usize::from(u16::MAX) + 1];
+    // Few blocks at a time, so that their weights need little room.
+    for slots in slots.chunks(SLOTS_COUNTED) {
+        let weights: Vec<Vec<u16>> = slots.par_iter().map(|slot| cut_edges(volume, *slot)).collect();
+        weights.iter().flatten().for_each(|w| counts[usize::from(*w)] += 1);
+    }
+    counts
+}
+
+fn cut_edges(volume: &Volume, slot: u32) -> Vec<u16> {
+    let padded = Padded::gather(volume, volume.coord(slot));
+    let mut weights = Vec::new();
+    for a in (0..VOXELS).map(|v| at(v % EDGE, v / EDGE % EDGE, v / (EDGE * EDGE))) {
+        for step in STEPS {
+            let least = padded.weight[a].min(padded.weight[a + step]);
+            if least > 0 && padded.cut(a, a + step) {
+                weights.push(least);
+            }
+        }
+    }
+    weights
+}
+
+/// The weight, in frames, that half of all that was measured of the surface exceeds: the weighted median over the edges
+/// cut. It grows with the length of a scan of one place, as what rare readings add up to does.
+fn typical_weight(counts: &[u64]) -> f32 {
+    let evidence = |w: usize| w as u64 * counts[w];
+    let all: u64 = (0..counts.len()).map(evidence).sum();
+    let mut above = 0;
+    let typical = (0..counts.len()).rev().find(|w| {
+        above += evidence(*w);
+        2 * above >= all
+    });
+    typical.unwrap_or(0) as f32 * WEIGHT_UNIT
+}
+
+/// Adds the vertices of a layer of blocks and returns their edges.
+fn add_vertices(volume: &Volume, slots: &[u32], min_weight: u16, mesh: &mut Mesh) -> Vec<BlockEdges> {
+    let parts: Vec<_> = slots.par_iter().map(|slot| vertices(volume, volume.coord(*slot), min_weight)).collect();
+    let mut layer = Vec::with_capacity(parts.len());
     for (mut edges, positions, normals) in parts {
         edges.first = mesh.positions.len() as u32;
         mesh.positions.extend(positions);
         mesh.normals.extend(normals);
-        blocks.push(edges);
+        layer.push(edges);
     }
-    let table = case_table();
-    let triangles: Vec<Vec<[u32; 3]>> = slots
-        .par_iter()
-        .map(|slot| triangles(volume, volume.coord(*slot), min_weight, &table, &blocks, &order))
-        .collect();
-    mesh.triangles = triangles.concat();
-    drop_specks(&mut mesh, min_triangles);
-    mesh
+    layer
+}
+
+/// Adds the triangles of the lower of two layers whose vertices are there.
+fn add_triangles(
+    volume: &Volume,
+    lower: &Layer<'_>,
+    upper: &Layer<'_>,
+    place: &[u32],
+    min_weight: u16,
+    table: &[Vec<[usize; 3]>],
+    mesh: &mut Mesh,
+) {
+    let of_block = |slot: &u32| {
+        let coord = volume.coord(*slot);
+        let neighbours: [Option<&BlockEdges>; 8] = std::array::from_fn(|o| {
+            let slot = volume.find(coord + octant(o))? as usize;
+            (if o < 4 { lower } else { upper }).edges.get(place[slot] as usize)
+        });
+        triangles(&Padded::gather(volume, coord), min_weight, table, &neighbours)
+    };
+    let parts: Vec<Vec<[u32; 3]>> = lower.slots.par_iter().map(of_block).collect();
+    parts.into_iter().for_each(|part| mesh.triangles.extend(part));
 }
 
 fn vertices(volume: &Volume, coord: BlockCoord, min_weight: u16) -> (BlockEdges, Vec<Vec3>, Vec<Vec3>) {
-    let padded = Padded::gather(volume, coord, min_weight);
+    let padded = Padded::gather(volume, coord);
     let mut edges = BlockEdges { bits: [0; WORDS], before: [0; WORDS], first: 0 };
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
     let mut cursor = Cursor::default();
@@ -168,7 +269,7 @@ fn vertices(volume: &Volume, coord: BlockCoord, min_weight: u16) -> (BlockEdges,
             let (x, y, z) = (v % EDGE, v / EDGE % EDGE, v / (EDGE * EDGE));
             let (a, b) = (at(x, y, z), at(x, y, z) + STEPS[axis]);
             let (sa, sb) = (padded.sdf[a], padded.sdf[b]);
-            if !(padded.known[a] && padded.known[b]) || (sa < 0.0) == (sb < 0.0) {
+            if padded.weight[a].min(padded.weight[b]) < min_weight || !padded.cut(a, b) {
                 continue;
             }
             let bit = axis * VOXELS + v;
@@ -211,18 +312,11 @@ fn gradient(volume: &Volume, v: IVec3, min_weight: u16, cursor: &mut Cursor) -> 
 }
 
 fn triangles(
-    volume: &Volume,
-    coord: BlockCoord,
+    padded: &Padded,
     min_weight: u16,
     table: &[Vec<[usize; 3]>],
-    blocks: &[BlockEdges],
-    order: &[u32],
+    neighbours: &[Option<&BlockEdges>; 8],
 ) -> Vec<[u32; 3]> {
-    let padded = Padded::gather(volume, coord, min_weight);
-    let neighbours: [Option<&BlockEdges>; 8] = std::array::from_fn(|o| {
-        let d = IVec3::new(o as i32 & 1, o as i32 >> 1 & 1, o as i32 >> 2);
-        volume.find(coord + d).map(|slot| &blocks[order[slot as usize] as usize])
-    });
     let mut out = Vec::new();
     for v in 0..VOXELS {
         let (x, y, z) = (v % EDGE, v / EDGE % EDGE, v / (EDGE * EDGE));
@@ -231,7 +325,7 @@ fn triangles(
         let mut known = true;
         for c in 0..8 {
             let i = base + (c & 1) * STEPS[0] + (c >> 1 & 1) * STEPS[1] + (c >> 2) * STEPS[2];
-            known &= padded.known[i];
+            known &= padded.weight[i] >= min_weight;
             case |= usize::from(padded.sdf[i] < 0.0) << c;
         }
         if !known {
@@ -337,12 +431,12 @@ mod tests {
                         let v = IVec3::new(i as i32 & 7, i as i32 >> 3 & 7, i as i32 >> 6) + 8 * IVec3::new(x, y, z);
                         let d = (v.as_vec3() * m - centre).length() - radius;
                         sdf[i] = ((d / mu).clamp(-1.0, 1.0) * SDF_ONE) as i16;
-                        weight[i] = 640;
+                        weight[i] = (10.0 / WEIGHT_UNIT) as u16;
                     }
                 }
             }
         }
-        let mesh = extract(&volume, 3.0, 10);
+        let mesh = extract(&volume, &Threshold { min_weight: 3.0, share: 0.01, min_triangles: 10 });
         assert!(mesh.triangles.len() > 5000);
         let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
         for t in &mesh.triangles {

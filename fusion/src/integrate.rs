@@ -15,12 +15,20 @@ const ALLOCATION_STEP: usize = 4;
 const SLOTS_PER_TASK: usize = 256;
 /// Blocks outside the band are asked every so many frames whether the frame sees them as free space.
 const CARVE_PERIOD: usize = 8;
+/// Every so many frames a block is asked whether it is worth its place.
+const RECYCLE_PERIOD: usize = 64;
+/// A block in which this many frames measured no surface goes back to the pool …
+const FORGET_FRAMES: u32 = 300;
+/// … unless something in it has this weight, in frames seen from 1 m.
+const WORTH_WEIGHT: f32 = 0.5;
 
 /// What integration needs to remember from frame to frame.
 pub struct Integrator {
     isa: Isa,
     /// Per slot: number of the frame that touches it.
     stamp: Vec<u32>,
+    /// Per slot: number of the frame that last measured a surface in it.
+    measured: Vec<u32>,
     frame: u32,
     max_weight: f32,
     recent: Vec<BlockCoord>,
@@ -41,6 +49,7 @@ impl Integrator {
         Self {
             isa: Isa::detect(),
             stamp: vec![0; config.pool_blocks as usize],
+            measured: vec![0; config.pool_blocks as usize],
             frame: 0,
             max_weight: config.max_weight as f32 / WEIGHT_UNIT,
             recent: Vec::with_capacity(8),
@@ -50,6 +59,7 @@ impl Integrator {
     /// Averages a depth image (metres, row-major, 0 = none) seen from `world_from_depth` into the volume.
     pub fn integrate(&mut self, volume: &mut Volume, rig: &Rig, depth: &[f32], world_from_depth: &Pose) -> Integrated {
         self.frame = self.frame.wrapping_add(1);
+        self.recycle(volume);
         let refused = self.allocate(volume, &rig.depth, depth, world_from_depth);
         self.mark_free_space(volume, &rig.depth, depth, world_from_depth);
         let kernel = Kernel::new(&rig.depth, &world_from_depth.inverse(), volume, self.max_weight);
@@ -73,6 +83,11 @@ impl Integrator {
         Integrated { blocks, refused }
     }
 
+    /// To be told when the volume has been coarsened: the slots hold other blocks now.
+    pub fn coarsened(&mut self) {
+        self.measured.fill(self.frame);
+    }
+
     /// Takes blocks along each ray from truncation before to truncation behind the measured depth.
     fn allocate(&mut self, volume: &mut Volume, camera: &Pinhole, depth: &[f32], world_from_depth: &Pose) -> u64 {
         let t = Rigid::from(world_from_depth);
@@ -94,7 +109,10 @@ impl Integrator {
                     }
                     self.recent.push(c);
                     match volume.allocate(c) {
-                        Ok(slot) => self.stamp[slot as usize] = self.frame,
+                        Ok(slot) => {
+                            self.stamp[slot as usize] = self.frame;
+                            self.measured[slot as usize] = self.frame;
+                        }
                         Err(Refusal::Full) => refused += 1,
                         Err(Refusal::Outside) => {}
                     }
@@ -102,6 +120,21 @@ impl Integrator {
             }
         }
         refused
+    }
+
+    /// Gives back, of the blocks whose turn it is, those that hold free space and rare readings only: else a scan that goes
+    /// on in one place would fill the pool with them.
+    fn recycle(&self, volume: &mut Volume) {
+        let worth = (WORTH_WEIGHT / WEIGHT_UNIT) as u16;
+        for slot in (self.frame as usize % RECYCLE_PERIOD..volume.high_water()).step_by(RECYCLE_PERIOD) {
+            if !volume.is_used(slot as u32) || self.frame.wrapping_sub(self.measured[slot]) < FORGET_FRAMES {
+                continue;
+            }
+            let (sdf, weight) = volume.block(slot as u32);
+            if !sdf.iter().zip(weight).any(|(s, w)| *w >= worth && f32::from(*s) < 0.95 * SDF_ONE) {
+                volume.release(slot as u32);
+            }
+        }
     }
 
     /// Marks, of the blocks whose turn it is, those which the frame looks through.
@@ -152,6 +185,9 @@ impl Hot for BlockUpdate<'_> {
         self.kernel.block(self.depth, self.coord, self.sdf, self.weight);
     }
 }
+
+/// The largest weight stored.
+const MOST_WEIGHT: f32 = 65535.0;
 
 /// Adding this to a small f32 leaves its nearest integer in the low bits.
 const MAGIC: f32 = 12_582_912.0;
@@ -220,10 +256,12 @@ impl Kernel {
                 // One frame from 1 m weighs 1; further away less, as the noise grows.
                 let far = d - 0.4;
                 let new = (0.001884 / WEIGHT_UNIT) / (0.0012 + 0.0019 * far * far);
-                let old = f32::from(weight[i]);
-                let sum = old + new;
-                let mean = (f32::from(sdf[i]) * old + s * SDF_ONE * new) / sum;
-                let sum = if sum < self.max_weight { sum } else { self.max_weight };
+                let new = if new > 1.0 { new } else { 1.0 };
+                // The weight tells how much was seen; what is new counts at least its share of `max_weight`.
+                let all = f32::from(weight[i]);
+                let old = if all < self.max_weight { all } else { self.max_weight };
+                let mean = (f32::from(sdf[i]) * old + s * SDF_ONE * new) / (old + new);
+                let sum = if all + new < MOST_WEIGHT { all + new } else { MOST_WEIGHT };
                 sdf[i] = if seen { round_to_int(mean) as i16 } else { sdf[i] };
                 weight[i] = if seen { round_to_int(sum) as u16 } else { weight[i] };
             }

@@ -208,12 +208,19 @@ impl Fusion {
     /// Extracts the mesh and chooses the keyframes.
     #[must_use]
     pub fn finish(self) -> FusionOutput {
-        let least = self.config.min_component_triangles as usize;
-        let mesh = extract::extract(&self.volume, self.config.min_weight as f32, least);
+        let threshold = extract::Threshold {
+            min_weight: self.config.min_weight as f32,
+            share: self.config.min_weight_share as f32,
+            min_triangles: self.config.min_component_triangles as usize,
+        };
         let mut stats = self.stats;
         stats.voxel_size_m = f64::from(self.volume.voxel_m());
         stats.blocks_used = self.volume.used() as u64;
         stats.blocks_total = self.volume.capacity() as u64;
+        // What is no longer needed goes before the next thing grows.
+        drop((self.anchors, self.reference, self.integrator));
+        let mesh = extract::extract(&self.volume, &threshold);
+        drop(self.volume);
         let chosen = self.candidates.choose(&mesh, &self.rig, &self.config);
         stats.keyframe_coverage = chosen.coverage;
         FusionOutput {
@@ -400,6 +407,7 @@ impl Fusion {
             return false;
         }
         self.volume.coarsen();
+        self.integrator.coarsened();
         self.stats.coarsenings += 1;
         true
     }

@@ -12,7 +12,7 @@ pub const EDGE: usize = 8;
 /// Voxels in a block.
 pub const VOXELS: usize = EDGE * EDGE * EDGE;
 /// One unit of a stored weight, in frames seen from 1 m.
-pub const WEIGHT_UNIT: f32 = 1.0 / 64.0;
+pub const WEIGHT_UNIT: f32 = 1.0 / 32.0;
 /// Stored distance of one truncation distance.
 pub const SDF_ONE: f32 = 32767.0;
 /// Blocks lie within ± this many blocks of the origin, so that a coordinate fits 20 bits.
@@ -182,6 +182,33 @@ impl Volume {
         Err(Refusal::Full)
     }
 
+    /// Gives the block in a slot back to the pool; what was known of it is gone.
+    pub fn release(&mut self, slot: u32) {
+        let Some(key) = key_of(self.coords[slot as usize]) else { return };
+        let mask = self.keys.len() - 1;
+        let mut hole = hash(key) & mask;
+        while self.keys[hole] != key {
+            hole = (hole + 1) & mask;
+        }
+        // Those behind it that would no longer be found move up.
+        let mut next = (hole + 1) & mask;
+        while self.keys[next] != EMPTY {
+            let home = hash(self.keys[next]) & mask;
+            if (next.wrapping_sub(home) & mask) >= (next.wrapping_sub(hole) & mask) {
+                (self.keys[hole], self.slots[hole]) = (self.keys[next], self.slots[next]);
+                hole = next;
+            }
+            next = (next + 1) & mask;
+        }
+        self.keys[hole] = EMPTY;
+        self.coords[slot as usize] = NOWHERE;
+        self.free.push(slot);
+        self.used -= 1;
+        let (sdf, weight) = self.block_mut(slot);
+        sdf.fill(0);
+        weight.fill(0);
+    }
+
     /// Distances and weights of a block, index `z·64 + y·8 + x`.
     #[inline]
     pub fn block(&self, slot: u32) -> (&[i16], &[u16]) {
@@ -349,7 +376,7 @@ mod tests {
                         let v = IVec3::new(i as i32 & 7, (i as i32 >> 3) & 7, i as i32 >> 6) + 8 * IVec3::new(x, y, z);
                         let d = (v.as_vec3() * voxel_m).length() - radius;
                         sdf[i] = ((d / mu).clamp(-1.0, 1.0) * SDF_ONE) as i16;
-                        weight[i] = 640;
+                        weight[i] = (10.0 / WEIGHT_UNIT) as u16;
                     }
                 }
             }
@@ -374,6 +401,31 @@ mod tests {
                 assert!(s.gradient.normalize().dot(d) > 0.98);
             }
         }
+    }
+
+    /// Blocks that come and go in an order of chance: those that are there are found, and hold what was written.
+    #[test]
+    fn released_blocks_are_gone_and_the_others_are_found() {
+        let mut volume = Volume::new(&FusionConfig { pool_blocks: 256, ..FusionConfig::default() });
+        let coord = |n: u64| IVec3::new((n % 7) as i32 - 3, (n / 7 % 7) as i32, (n / 49 % 7) as i32);
+        let mut there = std::collections::BTreeMap::new();
+        for step in 0..20_000u64 {
+            let n = hash(step) as u64 % 343;
+            match there.remove(&n) {
+                Some(slot) => volume.release(slot),
+                None if there.len() < 256 => {
+                    let slot = volume.allocate(coord(n)).unwrap();
+                    assert!(volume.block(slot).1.iter().all(|w| *w == 0), "not empty");
+                    volume.block_mut(slot).1.fill(n as u16 + 1);
+                    there.insert(n, slot);
+                }
+                None => {}
+            }
+            assert_eq!(volume.used(), there.len());
+            let n = hash(step ^ 0xABCD) as u64 % 343;
+            assert_eq!(volume.find(coord(n)), there.get(&n).copied());
+        }
+        assert!(there.iter().all(|(n, slot)| volume.block(*slot).1[5] == *n as u16 + 1));
     }
 
     #[test]
