@@ -13,6 +13,7 @@ use estimator::{Options, Progress, association, remesh, segmentation, sh, transf
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::Vec3;
 use recordings::photos::import_photos;
+use recordings::scan::ScanSource;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -49,7 +50,8 @@ fn main() {
     };
     let mut scan = import_photos(&shared.join("truth/fruits"), None).expect("a scan");
     scan.keyframes.truncate(KEYFRAMES);
-    let given = scan.mesh.clone();
+    // Regularised as a fused mesh is.
+    scan.source = ScanSource::Fusion;
     let row = |head: &str, times: &[f64]| {
         println!("{head:<22}{}", times.iter().map(|t| format!("{t:>13.3}")).collect::<String>());
     };
@@ -69,9 +71,10 @@ fn main() {
     );
     let mut all_in = Vec::new();
     for (size, paper) in PAPER {
-        let mut config = EstimatorConfig { max_vertices: 2_000_000, rays: RAYS, ..EstimatorConfig::default() };
-        config.regularise = libm::sqrt(given.positions.len() as f64 / size as f64);
-        let mesh = remesh::regularise(&given, &config, scan.source);
+        // A target far below the mesh's own edges, so that the number of vertices decides.
+        let config =
+            EstimatorConfig { max_vertices: size as u32, regularise: 0.01, rays: RAYS, ..EstimatorConfig::default() };
+        let mesh = remesh::regularise(&scan.mesh, &config, ScanSource::Fusion);
         let scene = Scene::new(&mesh);
         let progress = Silent;
         let (fields, association) =
@@ -88,10 +91,7 @@ fn main() {
         let settings = Settings { gi: true, bands: sh::AUTO_BANDS, bounces: 0, solver: SolverChoice::Robust };
         let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &settings, None));
         drop(fields);
-        // All in: the scan as fusion would give it, of this size.
-        scan.mesh = mesh.clone();
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
-        let config = EstimatorConfig { regularise: 1.0, ..config };
         let before = processor_s();
         let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &progress).expect("an answer"));
         let busy = processor_s() - before;

@@ -33,6 +33,9 @@ pub fn drop_crumbs(labels: &mut [u32], first: u32, least: u32) {
     }
 }
 
+/// Borders of fewer edges do not join regions easily: where two all but touch in a point, pictures mix their colours.
+const SHORT: f32 = 6.0;
+
 /// A distance that orders.
 #[derive(PartialEq)]
 struct Cost(f32);
@@ -102,7 +105,9 @@ impl Border {
         let crease = if self.creases > 0.0 { (self.near[1] / self.creases).x.abs() - CREASE_LIGHTNESS } else { 0.0 };
         let lightness = (flat * smooth + self.creases * crease.max(0.0)) / self.edges;
         let concave = (self.concavity / self.edges / CONCAVE).min(1.0);
-        chroma.y.hypot(chroma.z).hypot(lightness) * (1.0 + CONCAVE_GAIN * concave)
+        chroma.y.hypot(chroma.z).hypot(lightness)
+            * (1.0 + CONCAVE_GAIN * concave)
+            * (1.0 + (SHORT / self.edges).powi(2))
     }
     fn add(&mut self, other: &Self, sign: f32) {
         self.edges += other.edges;

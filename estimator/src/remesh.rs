@@ -11,9 +11,13 @@ use recordings::types::Mesh;
 
 /// Rounds of split, collapse, flip and smoothing.
 const ROUNDS: usize = 3;
+/// Vertices are as many as asked for to this share.
+const COUNT_TOLERANCE: f64 = 0.02;
 /// Longest and shortest edge as multiples of the target (Botsch and Kobbelt).
 const LONGEST: f32 = 4.0 / 3.0;
 const SHORTEST: f32 = 0.8;
+/// The same where vertices are still too many.
+const TO_COUNT: f32 = 1.5;
 /// Vertices nearer than this many median edges are one.
 const WELD: f32 = 1e-3;
 /// A mesh with a smaller share of edges outside [0.5, 1.5] of the target is regular already.
@@ -83,10 +87,14 @@ pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
 fn remesh(mesh: &Mesh, target: f32) -> Mesh {
     let scene = Scene::new(mesh);
     let limit = GROWTH * mesh.positions.len() + 1000;
+    let wanted = vertices_for(area(mesh), target).min(limit as f64);
     let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
     for _ in 0..ROUNDS {
         surface.split_long(LONGEST * target, limit);
         surface.collapse_short(SHORTEST * target, LONGEST * target);
+        // Edges of any length between the two stay, so that their mean hangs on where they began.
+        surface.collapse_to(((1.0 + COUNT_TOLERANCE) * wanted) as usize, TO_COUNT * target);
+        surface.split_to(((1.0 - COUNT_TOLERANCE) * wanted) as usize);
         surface.flip_edges();
         let relaxed = surface.relaxed(0.5);
         let normals = surface.normals();
@@ -119,6 +127,11 @@ fn remesh(mesh: &Mesh, target: f32) -> Mesh {
 /// Edge with which `vertices` vertices cover an area: an equilateral triangulation has √3/2 edge² a vertex.
 fn edge_for(area: f64, vertices: u32) -> f32 {
     (area / (0.75f64.sqrt() * f64::from(vertices))).sqrt() as f32
+}
+
+/// The reverse.
+fn vertices_for(area: f64, edge: f32) -> f64 {
+    area / (0.75f64.sqrt() * f64::from(edge).powi(2))
 }
 
 fn area(mesh: &Mesh) -> f64 {
@@ -330,8 +343,25 @@ mod tests {
         let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
         assert_eq!(topology(&mesh), (2, 0));
         let vertices = mesh.positions.len();
-        assert!((1500..=2500).contains(&vertices), "{vertices} vertices for about 2000");
+        assert!((1900..=2100).contains(&vertices), "{vertices} vertices for about 2000");
         assert!(mesh.positions.iter().all(|p| (p.length() - 1.0).abs() < 5e-3));
+    }
+
+    /// Halving edges leads from some lengths to too many vertices and from others to too few.
+    #[test]
+    fn as_many_vertices_as_asked_for() {
+        for asked in [2500, 4000, 6000, 10_000, 16_000, 25_000] {
+            let config = EstimatorConfig { max_vertices: asked, regularise: 0.1, ..Default::default() };
+            let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
+            assert_eq!(topology(&mesh), (2, 0));
+            let off = mesh.positions.len() as f64 / f64::from(asked) - 1.0;
+            assert!(off.abs() < 0.05, "{} vertices for {asked}", mesh.positions.len());
+            let target = edge_for(area(&mesh), asked);
+            let mut lengths = edge_lengths(&mesh);
+            lengths.sort_by(f32::total_cmp);
+            let (low, high) = (lengths[lengths.len() / 50], lengths[lengths.len() - lengths.len() / 50]);
+            assert!(low > 0.5 * target && high < 1.5 * target, "{low} … {high} around {target}");
+        }
     }
 
     #[test]

@@ -83,6 +83,45 @@ impl Surface {
         }
     }
 
+    /// Vertices that have a triangle.
+    fn vertices(&self) -> usize {
+        self.rings.iter().filter(|r| !r.is_empty()).count()
+    }
+
+    /// Every edge once, with its length, shortest first.
+    fn edges_by_length(&self) -> Vec<(f32, u32, u32)> {
+        let sides = self.triangles.iter().flatten().flat_map(|c| [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])]);
+        let mut edges: Vec<_> = sides.map(|(a, b)| (self.length(a, b), a.min(b), a.max(b))).collect();
+        edges.par_sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then((x.1, x.2).cmp(&(y.1, y.2))));
+        edges.dedup();
+        edges
+    }
+
+    /// Collapses the shortest edges until `most` vertices are left, as far as [`Self::collapse_short`]'s conditions let it.
+    pub fn collapse_to(&mut self, most: usize, longest: f32) {
+        let mut left = self.vertices();
+        let mut before = usize::MAX;
+        while left > most && left < before {
+            before = left;
+            for (length, a, b) in self.edges_by_length() {
+                // Earlier collapses may have moved or removed an end.
+                if left > most && self.length(a, b) <= length && self.collapse(a, b, longest) {
+                    left -= 1;
+                }
+            }
+        }
+    }
+
+    /// Splits the longest edges until there are `least` vertices, each at most once.
+    pub fn split_to(&mut self, least: usize) {
+        let missing = least.saturating_sub(self.vertices());
+        if missing > 0 {
+            for &(_, a, b) in self.edges_by_length().iter().rev().take(missing) {
+                self.split(a, b);
+            }
+        }
+    }
+
     fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
         let shared = self.shared(a, b);
         let (on_a, on_b) = (self.on_border(a), self.on_border(b));

@@ -17,6 +17,8 @@ const INDIRECT: usize = INDIRECT_BANDS * INDIRECT_BANDS;
 const ROW: usize = 3 * INDIRECT;
 /// Vertices that one task traces.
 const BLOCK: usize = 256;
+/// Hits that are held at most, 4 bytes each. Where all would be more, bounces use the first rays of every vertex alone.
+const MOST_HITS: u64 = 1 << 25;
 /// Norm of the error over half the difference of the two half sets, measured against reference transfers.
 const HALVES_TO_WHOLE: f64 = 0.68;
 /// Bounces go on until they add less than this share of the light.
@@ -45,6 +47,8 @@ pub struct Traced {
     /// `corners[offsets[i]..offsets[i + 1]]`.
     offsets: Vec<u32>,
     corners: Vec<u32>,
+    /// Rays per vertex whose hits these are.
+    hit_rays: u32,
 }
 
 /// Interreflected light per vertex and channel for one set of albedos.
@@ -84,7 +88,15 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
         rays: 0,
         offsets: vec![0; mesh.positions.len() + 1],
         corners: Vec::new(),
+        hit_rays: 0,
     }
+}
+
+/// Rays per vertex whose hits are held so that `most` hits suffice wherever they lead: all, or a power of two of them,
+/// which are as evenly spread.
+fn held_rays(vertices: usize, rays: u32, most: u64) -> u32 {
+    let fitting = (most / vertices.max(1) as u64).max(1);
+    if u64::from(rays) <= fitting { rays } else { 1 << fitting.ilog2() }
 }
 
 /// Traces `rays` cosine-distributed rays from every vertex; `report` is told the share done.
@@ -104,6 +116,19 @@ pub fn trace_while(
     scene: &Scene,
     bands: usize,
     rays: u32,
+    seed: u32,
+    go_on: &(dyn Fn(f64) -> bool + Sync),
+) -> Option<Traced> {
+    trace_holding(mesh, scene, bands, rays, held_rays(mesh.positions.len(), rays, MOST_HITS), seed, go_on)
+}
+
+/// The same with the hits of the first `hit_rays` rays of every vertex.
+fn trace_holding(
+    mesh: &Mesh,
+    scene: &Scene,
+    bands: usize,
+    rays: u32,
+    hit_rays: u32,
     seed: u32,
     go_on: &(dyn Fn(f64) -> bool + Sync),
 ) -> Option<Traced> {
@@ -127,7 +152,8 @@ pub fn trace_while(
             }
             for (j, row) in direct.chunks_mut(k).enumerate() {
                 let vertex = block * BLOCK + j;
-                (blocked[j], error[j]) = trace_vertex(mesh, scene, &directions, vertex, rays, row, &mut corners);
+                let mut hits = Hits { rays: hit_rays as usize, corners: &mut corners };
+                (blocked[j], error[j]) = trace_vertex(mesh, scene, &directions, vertex, rays, row, &mut hits);
                 ends.push(corners.len() as u32);
             }
             let before = done.fetch_add(blocked.len(), std::sync::atomic::Ordering::Relaxed);
@@ -148,7 +174,7 @@ pub fn trace_while(
         offsets.extend(ends.iter().map(|e| start + e));
         corners.extend(block);
     }
-    Some(Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners })
+    Some(Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners, hit_rays })
 }
 
 /// What a few rays from about `samples` of the vertices tell.
@@ -170,7 +196,8 @@ pub fn pilot(mesh: &Mesh, scene: &Scene, samples: usize, rays: u32, seed: u32) -
         .par_iter()
         .map(|&vertex| {
             let mut row = [0.0f32; INDIRECT];
-            let (blocked, error) = trace_vertex(mesh, scene, &directions, vertex, rays, &mut row, &mut Vec::new());
+            let mut hits = Hits { rays: 0, corners: &mut Vec::new() };
+            let (blocked, error) = trace_vertex(mesh, scene, &directions, vertex, rays, &mut row, &mut hits);
             let size: f64 = row.iter().map(|t| f64::from(*t).powi(2)).sum();
             [f64::from(blocked), f64::from(error).powi(2), size]
         })
@@ -214,6 +241,12 @@ impl Lanes {
     }
 }
 
+/// Where hits are held, and of how many of the vertex's first rays.
+struct Hits<'a> {
+    rays: usize,
+    corners: &'a mut Vec<u32>,
+}
+
 /// Fills the direct transfer of one vertex, appends its hits, and returns the blocked share and the estimated error.
 fn trace_vertex(
     mesh: &Mesh,
@@ -222,7 +255,7 @@ fn trace_vertex(
     vertex: usize,
     rays: u32,
     row: &mut [f32],
-    corners: &mut Vec<u32>,
+    hits: &mut Hits,
 ) -> (f32, f32) {
     let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
     if rays == 0 || !position.is_finite() || !(normal.length_squared() - 1.0).abs().lt(&1e-2) {
@@ -240,14 +273,14 @@ fn trace_vertex(
         let side = usize::from(hit.is_some());
         count[side] += 1;
         lanes[half][side].push(d, &mut sums[half][side][..k]);
-        if let Some(hit) = hit {
+        if let Some(hit) = hit.filter(|_| index < hits.rays) {
             let t = mesh.triangles[hit.triangle as usize];
             let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
             let facing = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
             // The back of a surface blocks but is not lit: what lights it is not what lights its front.
             if facing.dot(d) < 0.0 {
                 let draw = unit(hash(vertex as u32, index as u32 ^ 0x0c04_e500));
-                corners.push(if draw < hit.u {
+                hits.corners.push(if draw < hit.u {
                     t[1]
                 } else if draw < hit.u + hit.v {
                     t[2]
@@ -297,7 +330,7 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
     let count = traced.blocked.len();
     let k = traced.bands * traced.bands;
     let direct = |i: usize| &traced.direct[i * k..i * k + k.min(INDIRECT)];
-    let scale = 1.0 / traced.rays.max(1) as f32;
+    let scale = 1.0 / traced.hit_rays.max(1) as f32;
     let mut radiosity = vec![0.0f32; count * ROW];
     let mut rows = vec![0.0f32; count * ROW];
     let most = if bounces == 0 { MOST_BOUNCES } else { bounces };
@@ -425,5 +458,51 @@ impl Transfer {
                 Vec3::new(sum[0] as f32, sum[1] as f32, sum[2] as f32)
             })
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A floor and a wall of `n` × `n` squares that meet along an edge.
+    fn corner(n: u32) -> Mesh {
+        let mut mesh = Mesh::default();
+        for wall in [false, true] {
+            let first = mesh.positions.len() as u32;
+            for i in 0..=n {
+                for j in 0..=n {
+                    let (x, y) = (i as f32 / n as f32, j as f32 / n as f32);
+                    mesh.positions.push(if wall { Vec3::new(0.0, y, x) } else { Vec3::new(x, y, 0.0) });
+                    mesh.normals.push(if wall { Vec3::X } else { Vec3::Z });
+                }
+            }
+            for i in 0..n {
+                for j in 0..n {
+                    let a = first + i * (n + 1) + j;
+                    mesh.triangles.extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
+                }
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn hits_stay_within_their_budget_and_bounces_stay_what_they_are() {
+        assert_eq!(held_rays(1000, 128, 128_000), 128);
+        assert_eq!(held_rays(1000, 128, 127_999), 64);
+        assert_eq!(held_rays(2_000_000, 65_536, MOST_HITS), 16);
+        assert_eq!(held_rays(usize::MAX, 128, MOST_HITS), 1);
+        let mesh = corner(24);
+        let scene = Scene::new(&mesh);
+        let bounced = |held| {
+            let traced = trace_holding(&mesh, &scene, 5, 512, held, 1, &|_| true).expect("traced");
+            assert!(traced.corners.len() <= held as usize * mesh.positions.len());
+            let blocked = traced.mean_blocked();
+            (bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0).share, blocked)
+        };
+        let (all, few) = (bounced(512), bounced(32));
+        assert!(all.0 > 0.05 && (few.0 / all.0 - 1.0).abs() < 0.02, "{all:?} {few:?}");
+        assert_eq!(all.1, few.1, "what is blocked does not hang on what is held");
     }
 }
