@@ -88,7 +88,13 @@ fn main() {
         let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
         let colors =
             Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
-        let settings = Settings { gi: true, bands: sh::AUTO_BANDS, bounces: 0, solver: SolverChoice::Robust };
+        let settings = Settings {
+            gi: true,
+            bands: sh::AUTO_BANDS,
+            most_bands: sh::AUTO_BANDS,
+            bounces: 0,
+            solver: SolverChoice::Robust,
+        };
         let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &settings, None));
         drop(fields);
         let options = Options { budget: Duration::from_secs(3600), rounds: None };

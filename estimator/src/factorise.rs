@@ -41,6 +41,8 @@ pub struct Settings {
     pub gi: bool,
     /// SH bands of the light.
     pub bands: usize,
+    /// Bands that may be taken instead where gloss had hidden them.
+    pub most_bands: usize,
     /// Bounces; 0 = until they no longer matter.
     pub bounces: u32,
     /// Solver.
@@ -68,7 +70,7 @@ pub fn factorise(
     settings: &Settings,
     start: Option<(Solution, Detail)>,
 ) -> Factorised {
-    let Settings { gi, bands, bounces, solver } = *settings;
+    let Settings { gi, bands, bounces, solver, .. } = *settings;
     let one_segment = vec![0; colors.segment.len()];
     let transfer_error = relative_error(&traced);
     let mut transfer = Transfer { traced, bounced: None };

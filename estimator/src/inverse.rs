@@ -42,6 +42,9 @@ const ALBEDO_TOLERANCE: f64 = 1e-4;
 const SWEEPS: usize = 12;
 /// Weights of the pull towards the mean radiance that are tried, strongest first.
 const PULLS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
+/// Directions that the surfaces tell less of than this share of the best told one are held at the mean by more than the
+/// pull: what few vertices see between rims and holes is their own error rather than light.
+const HARDLY_TOLD: f64 = 5e-3;
 /// A weaker pull must lower the held-out error by this share to be taken.
 const WORTHWHILE: f64 = 0.01;
 /// Lit colours of neighbouring vertices err together: so many vertices count as one independent measurement.
@@ -421,16 +424,20 @@ fn held_out(statistics: &[Statistics], basis: &Basis, state: &Alternation) -> f6
     if size > 0.0 { error / size } else { 0.0 }
 }
 
-/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ strength |r − 1|²` over r ≥ 0 by coordinate descent from where `r` stands, P being
-/// the projection to coefficients: the gradient is kept there, where it is short.
+/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from where `r` stands, P being
+/// the projection to coefficients: the gradient is kept there, where it is short. `s_d` is `strength`, more where the
+/// direction is [`HARDLY_TOLD`].
 fn non_negative(gram: &DMatrix<f64>, cross: &DVector<f64>, basis: &Basis, strength: f64, r: &mut DVector<f64>) {
     let columns = gram * &basis.project;
+    let told: Vec<f64> = (0..r.len()).map(|d| basis.project.column(d).dot(&columns.column(d)).max(0.0)).collect();
+    let least = HARDLY_TOLD * told.iter().copied().fold(0.0, f64::max);
     let mut gradient = gram * (&basis.project * &*r) - cross;
     for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
         for d in 0..r.len() {
             let column = basis.project.column(d);
-            let diagonal = column.dot(&columns.column(d)) + strength;
+            let strength = strength * (1.0 + least / told[d].max(1e-4 * least));
+            let diagonal = told[d] + strength;
             if diagonal <= 0.0 {
                 continue;
             }

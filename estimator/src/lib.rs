@@ -111,10 +111,10 @@ pub fn estimate_on(
     let mut gloss = vec![Gloss::NONE; ready.segments];
     if config.specular != Switch::Off && plan.specular(settings.bands) {
         progress.stage("specular", 0.0);
-        let decision;
-        (found, gloss, decision) =
+        let decisions;
+        (found, gloss, decisions) =
             refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
-        ready.decisions.push(decision);
+        ready.decisions.extend(decisions);
         plan.specular_done(settings.bands);
     }
 

@@ -4,7 +4,7 @@ use crate::association::Association;
 use crate::factorise::{Colors, Factorised, Settings, factorise};
 use crate::material;
 use crate::scene::Scene;
-use crate::specular::{self, Gloss, Reflection};
+use crate::specular::{self, Gloss, Prediction, Reflection};
 use glam::Vec3;
 use recordings::result::Decision;
 use recordings::types::Mesh;
@@ -14,10 +14,21 @@ use std::sync::Arc;
 const PASSES: usize = 3;
 /// Change of the log gains (RMS) that is worth another factorisation.
 const WORTHWHILE_GAIN: f64 = 2e-3;
+/// More bands must predict the keyframes better by this many standard errors.
+const SIGNIFICANT_GAIN: f64 = 1.0;
+
+/// An answer with the gloss taken out.
+struct Cleaned {
+    found: Factorised,
+    lit_color: Vec<Vec3>,
+    gloss: Vec<Gloss>,
+    prediction: Prediction,
+    settings: Settings,
+}
 
 /// Finds the gloss of every segment (Eq. 13). Where there is any, exposures are left to matte segments, and lit colours
-/// are cleaned of it and factorised once more, as long as the keyframes are predicted better for it; `fields` then hold
-/// the clean colours.
+/// are cleaned of it and factorised once more, as long as the keyframes are predicted better for it; `fields` then hold the
+/// clean colours. What gloss had hidden may ask for more bands.
 #[must_use]
 pub fn refit(
     mesh: &Mesh,
@@ -26,7 +37,7 @@ pub fn refit(
     segment: &[u32],
     mut found: Factorised,
     settings: &Settings,
-) -> (Factorised, Vec<Gloss>, Decision) {
+) -> (Factorised, Vec<Gloss>, Vec<Decision>) {
     let segments = found.solution.albedo.len();
     let fit = |found: &Factorised, fields: &Association| {
         specular::fit(&reflection(mesh, scene, found), fields, segment, segments)
@@ -54,43 +65,85 @@ pub fn refit(
     let glossy = gloss.iter().filter(|g| g.significant).count();
     if glossy == 0 {
         let evidence = format!("no weight stands out of its error in {segments} segments{exposed}");
-        return (found, gloss, decision("none", evidence));
+        return (found, gloss, vec![decision("none", evidence)]);
     }
 
-    let judge = |f: &Factorised, albedo: &[[f64; 3]], fields: &Association, gloss: &[Gloss]| {
-        specular::prediction_error(&reflection(mesh, scene, f), fields, segment, albedo, gloss)
+    let judge = |f: &Factorised, gloss: &[Gloss]| {
+        specular::predict(&reflection(mesh, scene, f), fields, segment, &f.solution.albedo, gloss)
     };
-    let without = judge(&found, &found.solution.albedo, fields, &matte);
     // Lit colours without the gloss, and light from them.
-    let mut errors = vec![without];
-    let (mut best, mut best_gloss, mut next) = (None::<(Factorised, Vec<Vec3>)>, Vec::new(), gloss);
-    for _ in 0..PASSES {
-        let from = best.as_ref().map_or(&found, |(f, _)| f);
-        let clean = specular::clean(&reflection(mesh, scene, from), fields, segment, &next);
-        let start = Some((from.solution.clone(), from.detail.clone()));
-        let colors = colors(&clean, fields, segment, segments);
-        let trial = factorise(Arc::clone(&from.transfer.traced), &colors, settings, start);
-        next = fit(&trial, fields);
-        let error = judge(&trial, &trial.solution.albedo, fields, &next);
-        let falls = errors.iter().all(|e| error < *e);
-        errors.push(error);
-        if !falls {
+    let cleaned = |from: &Factorised, gloss: &[Gloss], settings: Settings| {
+        let lit_color = specular::clean(&reflection(mesh, scene, from), fields, segment, gloss);
+        let colors = colors(&lit_color, fields, segment, segments);
+        let same_bands = from.solution.light.len() == settings.bands * settings.bands;
+        let start = same_bands.then(|| (from.solution.clone(), from.detail.clone()));
+        let found = factorise(Arc::clone(&from.transfer.traced), &colors, &settings, start);
+        let gloss = fit(&found, fields);
+        let prediction = judge(&found, &gloss);
+        Cleaned { found, lit_color, gloss, prediction, settings }
+    };
+    let without = judge(&found, &matte);
+    let mut best = cleaned(&found, &gloss, *settings);
+    let mut told = vec![best.prediction.error()];
+    // Weights that stand out of their errors are evidence; that the keyframes are predicted no worse is the proof.
+    let holds = best.prediction.gain_over(&without) > -SIGNIFICANT_GAIN;
+    let again = |best: &mut Cleaned, told: &mut Vec<f64>, most: usize| {
+        for _ in 0..most {
+            let trial = cleaned(&best.found, &best.gloss, best.settings);
+            told.push(trial.prediction.error());
+            if trial.prediction.error() >= best.prediction.error() {
+                break;
+            }
+            *best = trial;
+        }
+    };
+    if holds {
+        again(&mut best, &mut told, PASSES - 1);
+    }
+    let evidence = format!(
+        "{glossy} of {segments} segments; mean relative error against the keyframes: {:.4} without gloss, {} with \
+         it{exposed}",
+        without.error(),
+        list(&told)
+    );
+    if !holds {
+        return (found, matte, vec![decision("none", evidence)]);
+    }
+    let mut decisions = vec![decision("lit colours cleaned of gloss and factorised once more", evidence)];
+    let first = best.settings.bands;
+    while best.settings.bands + 2 <= settings.most_bands {
+        let before = best.settings.bands;
+        let mut errors = vec![best.prediction.error()];
+        let more = Settings { bands: before + 2, ..best.settings };
+        let mut trial = cleaned(&best.found, &best.gloss, more);
+        errors.push(trial.prediction.error());
+        again(&mut trial, &mut errors, PASSES - 1);
+        let better = trial.prediction.gain_over(&best.prediction) > SIGNIFICANT_GAIN;
+        if better {
+            best = trial;
+        }
+        decisions.push(Decision {
+            name: "bands without gloss".into(),
+            choice: best.settings.bands.to_string(),
+            evidence: format!(
+                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}",
+                errors[0],
+                list(&errors[1..]),
+                more.bands
+            ),
+            next_level: format!("{first} bands were chosen before gloss was known"),
+        });
+        if !better {
             break;
         }
-        (best, best_gloss) = (Some((trial, clean)), next.clone());
     }
-    let told: Vec<String> = errors[1..].iter().map(|e| format!("{e:.4}")).collect();
-    let evidence = format!(
-        "{glossy} of {segments} segments; mean relative error against the keyframes: {without:.4} without gloss, {} \
-         with it{exposed}",
-        told.join(", ")
-    );
-    let Some((found_clean, clean)) = best else {
-        return (found, matte, decision("none", evidence));
-    };
-    fields.lit_color = clean;
-    let best_gloss = material::pooled(mesh, segment, &found_clean.solution.albedo, &best_gloss);
-    (found_clean, best_gloss, decision("lit colours cleaned of gloss and factorised once more", evidence))
+    fields.lit_color = best.lit_color;
+    let gloss = material::pooled(mesh, segment, &best.found.solution.albedo, &best.gloss);
+    (best.found, gloss, decisions)
+}
+
+fn list(errors: &[f64]) -> String {
+    errors.iter().map(|e| format!("{e:.4}")).collect::<Vec<_>>().join(", ")
 }
 
 fn colors<'a>(lit_color: &'a [Vec3], fields: &'a Association, segment: &'a [u32], segments: usize) -> Colors<'a> {

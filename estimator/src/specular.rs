@@ -218,34 +218,61 @@ fn views(
     views
 }
 
-/// Mean relative error, large ones capped, of `albedo E + gloss` per segment against what the keyframes show, over
-/// evenly strided vertices.
+/// How well the keyframes are predicted at evenly strided vertices.
+#[derive(Debug, Clone)]
+pub struct Prediction {
+    /// Sum of the relative errors of a vertex's views, large ones capped, and their number.
+    vertices: Vec<(f64, f64)>,
+}
+
+impl Prediction {
+    /// Mean relative error of all views.
+    #[must_use]
+    pub fn error(&self) -> f64 {
+        let (sum, views) = self.vertices.iter().fold((0.0, 0.0), |(s, n), v| (s + v.0, n + v.1));
+        sum / f64::max(views, 1.0)
+    }
+
+    /// How much lower the mean error of a vertex is than in `other`, in standard errors of that difference.
+    #[must_use]
+    pub fn gain_over(&self, other: &Self) -> f64 {
+        let both = self.vertices.iter().zip(&other.vertices).filter(|(a, _)| a.1 > 0.0);
+        let gains: Vec<f64> = both.map(|(a, b)| (b.0 - a.0) / a.1).collect();
+        let n = gains.len() as f64;
+        let mean = gains.iter().sum::<f64>() / n;
+        let variance = gains.iter().map(|g| (g - mean) * (g - mean)).sum::<f64>() / (n - 1.0);
+        let error = libm::sqrt(variance / n);
+        if error > 0.0 { mean / error } else { 0.0 }
+    }
+}
+
+/// How well `albedo E + gloss` per segment predicts what the keyframes show.
 #[must_use]
-pub fn prediction_error(
+pub fn predict(
     reflection: &Reflection,
     association: &Association,
     segment: &[u32],
     albedo: &[[f64; 3]],
     gloss: &[Gloss],
-) -> f64 {
+) -> Prediction {
     let lights = reflection.blurred();
     let stride = segment.len().div_ceil(JUDGED_VERTICES).max(1);
     let judged: Vec<usize> = (0..segment.len()).step_by(stride).collect();
-    let errors: Vec<f64> = judged
-        .par_iter()
-        .flat_map_iter(|&i| {
-            let (gloss, albedo) = (gloss[segment[i] as usize], albedo[segment[i] as usize]);
-            let weight = if gloss.significant { gloss.lobe_weight } else { 0.0 };
-            views(reflection, &lights, association, i, true).into_iter().flat_map(move |v| {
-                let size = (v.lit[0] + v.lit[1] + v.lit[2]) / 3.0;
-                [0, 1, 2].map(|c| {
-                    let predicted = albedo[c] * v.irradiance[c] + weight * v.mirror[gloss.lobe][c];
-                    ((v.seen[c] - predicted).abs() / size.max(f64::MIN_POSITIVE)).min(1.0)
-                })
-            })
-        })
-        .collect();
-    errors.iter().sum::<f64>() / errors.len().max(1) as f64
+    let vertices = judged.par_iter().map(|&i| {
+        let (gloss, albedo) = (gloss[segment[i] as usize], albedo[segment[i] as usize]);
+        let weight = if gloss.significant { gloss.lobe_weight } else { 0.0 };
+        let (mut sum, mut count) = (0.0, 0.0);
+        for v in views(reflection, &lights, association, i, true) {
+            let size = (v.lit[0] + v.lit[1] + v.lit[2]) / 3.0;
+            for (c, albedo) in albedo.iter().enumerate() {
+                let predicted = albedo * v.irradiance[c] + weight * v.mirror[gloss.lobe][c];
+                sum += ((v.seen[c] - predicted).abs() / size.max(f64::MIN_POSITIVE)).min(1.0);
+                count += 1.0;
+            }
+        }
+        (sum, count)
+    });
+    Prediction { vertices: vertices.collect() }
 }
 
 fn fit_segment(views: &[View]) -> Gloss {
@@ -286,7 +313,6 @@ fn fit_segment(views: &[View]) -> Gloss {
         }
     }
     let Some((_, mut gloss)) = best else { return Gloss::NONE };
-    let (w_d, w_s) = mirror_weights(&samples);
     if gloss.significant {
         let mut least = f64::INFINITY;
         let told = gloss;
@@ -299,6 +325,7 @@ fn fit_segment(views: &[View]) -> Gloss {
             }
         }
     }
+    let (w_d, w_s) = mirror_weights(&samples, &gloss);
     Gloss { w_d, w_s, ..gloss }
 }
 
@@ -359,16 +386,17 @@ fn level_weight(samples: &mut [Sample], lobe: usize, spread: f64) -> Option<(f64
     Some((weight, error, loss))
 }
 
-/// w_d and w_s of Eq. (13) as it stands, both ≥ 0; samples keep the robust weights of the lobe fit.
-fn mirror_weights(samples: &[Sample]) -> (f64, f64) {
+/// w_d and w_s of Eq. (13), both ≥ 0, for what the lobe predicts: light that is known smoother than it is makes the weight
+/// of a mirror too small against noisy colours, but the lobe's own weight has been told by level and change together.
+fn mirror_weights(samples: &[Sample], gloss: &Gloss) -> (f64, f64) {
     let (mut ff, mut fs, mut ss, mut fy, mut sy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for s in samples {
-        let mirror = s.mirror[0];
-        ff += s.robust * s.lit * s.lit;
-        fs += s.robust * s.lit * mirror;
-        ss += s.robust * mirror * mirror;
-        fy += s.robust * s.lit * s.seen;
-        sy += s.robust * mirror * s.seen;
+        let (mirror, seen) = (s.mirror[0], s.lit + gloss.lobe_weight * s.mirror[gloss.lobe]);
+        ff += s.lit * s.lit;
+        fs += s.lit * mirror;
+        ss += mirror * mirror;
+        fy += s.lit * seen;
+        sy += mirror * seen;
     }
     let determinant = ff * ss - fs * fs;
     if ff <= 0.0 || determinant <= NEARLY_COLLINEAR * ff * ss {

@@ -174,7 +174,7 @@ pub fn settle(
     progress.stage("factorisation", 0.0);
     let (bounces, most) = plan.light(traced.mean_blocked());
     let (gi, _) = select::interreflects(config, &traced);
-    let settings = Settings { gi, bands: most, bounces, solver: config.solver };
+    let settings = Settings { gi, bands: most, most_bands: most, bounces, solver: config.solver };
     if config.bands > 0 || config.solver != SolverChoice::Robust {
         return Settled { traced, settings, start: None };
     }

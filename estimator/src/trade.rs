@@ -209,7 +209,8 @@ impl Sweep<'_> {
     }
 
     fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: &str, bands: usize) {
-        let settings = Settings { gi: transfer == "gi", bands, bounces: 0, solver: SolverChoice::Robust };
+        let settings =
+            Settings { gi: transfer == "gi", bands, most_bands: bands, bounces: 0, solver: SolverChoice::Robust };
         self.point("grid", shared, traced, settings, None);
     }
 
@@ -221,7 +222,7 @@ impl Sweep<'_> {
             ("literal", auto, SolverChoice::Literal),
             ("nonsegmented", auto, SolverChoice::Nonsegmented),
         ] {
-            self.point(name, shared, traced, Settings { gi: true, bands, bounces: 0, solver }, None);
+            self.point(name, shared, traced, Settings { gi: true, bands, most_bands: bands, bounces: 0, solver }, None);
         }
     }
 

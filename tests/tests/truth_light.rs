@@ -93,7 +93,7 @@ fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factor
     let segments = truth.material.iter().max().map_or(0, |s| *s as usize + 1);
     let colors = Colors { lit_color: &lit, lit_weight: &weight, segment: &truth.material, segments };
     let bands = if solver == SolverChoice::Literal { 5 } else { BANDS };
-    factorise(Arc::new(traced), &colors, &Settings { gi, bands, bounces: 0, solver }, None)
+    factorise(Arc::new(traced), &colors, &Settings { gi, bands, most_bands: bands, bounces: 0, solver }, None)
 }
 
 fn albedo_error(truth: &Truth, found: &Factorised) -> metrics::AlbedoError {
