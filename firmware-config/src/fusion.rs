@@ -64,7 +64,7 @@ section! {
         /// Least share of the depth samples that must agree with the surface or the last frame for tracking to hold.
         min_fit: f64 = 0.35, [0.01..=0.9], "", "";
         /// Least correlation with the anchor's picture at which a lost camera counts as found.
-        min_likeness: f64 = 0.6, [0.0..=1.0], "", "";
+        min_likeness: f64 = 0.66, [0.0..=1.0], "", "";
         /// Mean grey value (of 255) under which a colour frame counts as black.
         black_below: f64 = 3.0, [0.0..=64.0], "", "";
         /// Distance from the anchor frame at which tracking changes to another anchor, as a share of the median depth.

@@ -2,10 +2,11 @@
 //! tracked, CPU time per frame and stage, mesh against truth.
 //!
 //! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… [--every N] [--backwards]
-//! [--loop N] [--drop N] [FOLDER[=TRUTH_MESH]…]`
+//! [--loop N] [--drop N] [--pieces N] [FOLDER[=TRUTH_MESH]…]`
 //!
 //! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`. `--every N` plays each Nth frame,
-//! `--loop N` forward and backward in turns, `--drop N` leaves out N frames of every 30.
+//! `--loop N` forward and backward in turns, `--drop N` leaves out N frames of every 30, `--pieces N` cuts into pieces of N
+//! frames and plays them out of order.
 
 #[path = "../benches/usage/mod.rs"]
 mod usage;
@@ -30,7 +31,7 @@ fn main() -> Result<()> {
     let mut out: Option<PathBuf> = None;
     let mut folders = Vec::new();
     let mut threads = 1;
-    let mut play = Play { every: 1, backwards: false, loops: 1, drop: 0 };
+    let mut play = Play { every: 1, backwards: false, loops: 1, drop: 0, pieces: 0 };
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
@@ -41,6 +42,7 @@ fn main() -> Result<()> {
             "--backwards" => play.backwards = true,
             "--loop" => play.loops = args.next().ok_or("--loop needs a number")?.parse()?,
             "--drop" => play.drop = args.next().ok_or("--drop needs a number")?.parse()?,
+            "--pieces" => play.pieces = args.next().ok_or("--pieces needs a number")?.parse()?,
             "--trace" => tracing::subscriber::set_global_default(stages::Printer)?,
             _ => folders.push(arg),
         }
@@ -87,6 +89,7 @@ struct Play {
     backwards: bool,
     loops: usize,
     drop: usize,
+    pieces: usize,
 }
 
 /// A frame's number in the recording, and the stamps of depth and colour under which it is played.
@@ -97,6 +100,7 @@ impl Play {
     fn turns(&self, pairs: &[Pair]) -> Vec<Turn> {
         let chosen: Vec<usize> =
             (0..pairs.len()).filter(|i| i % 30 >= self.drop || *i < 30).step_by(self.every).collect();
+        let chosen = if self.pieces > 0 { shuffled(&chosen, self.pieces) } else { chosen };
         let mut turns: Vec<Turn> = Vec::new();
         let mut before: Option<usize> = None;
         for round in 0..self.loops {
@@ -106,7 +110,8 @@ impl Play {
                 let (depth, color) = (pairs[i].0.timestamp_ns, pairs[i].1.timestamp_ns);
                 let clock = match (before, turns.last()) {
                     (Some(j), _) if i == j => continue,
-                    (Some(j), Some(last)) => last.2 + (color - pairs[j].1.timestamp_ns).abs(),
+                    (Some(j), Some(last)) if i.abs_diff(j) < 30 => last.2 + (color - pairs[j].1.timestamp_ns).abs(),
+                    (Some(_), Some(last)) => last.2 + 33_333_333,
                     _ => color,
                 };
                 turns.push((i, clock + if back { color - depth } else { depth - color }, clock));
@@ -115,6 +120,14 @@ impl Play {
         }
         turns
     }
+}
+
+/// Pieces of `n` numbers in an order in which neighbours are far apart.
+fn shuffled(all: &[usize], n: usize) -> Vec<usize> {
+    let pieces: Vec<&[usize]> = all.chunks(n).collect();
+    let mut order: Vec<usize> = (0..pieces.len()).collect();
+    order.sort_by_key(|i| (*i as u64 + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
+    order.into_iter().flat_map(|i| pieces[i].iter().copied()).collect()
 }
 
 fn run(dir: &Path, truth: Option<&Path>, config: &Config, play: &Play, out: Option<&Path>) -> Result<()> {

@@ -42,6 +42,11 @@ pub static FIND: [Step; 2] = [reference(2, 8, 20.0), reference(1, 4, 8.0)];
 const FIXED_MS: f64 = 5.0;
 const BLOCK_MS: f64 = 0.002;
 
+/// The best effort there is.
+pub fn best() -> &'static Effort {
+    &EFFORTS[0]
+}
+
 /// The best effort that fits the budget beside integrating as many blocks as the last frame did; the cheapest if none.
 pub fn choose(config: &FusionConfig, last_blocks: usize, valid: f32) -> &'static Effort {
     let rest = config.max_cpu_ms_per_frame - FIXED_MS - BLOCK_MS * last_blocks as f64;

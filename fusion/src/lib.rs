@@ -88,6 +88,36 @@ const MAX_STAMP_GAP_S: f64 = 0.1;
 /// Anchors tried per frame when lost.
 const RELOCALISATION_TRIES: usize = 4;
 
+/// Longest time over which the last velocity is tried to find the camera again, seconds.
+const MAX_COASTING_S: f64 = 1.0;
+/// Share of `min_likeness` that a tracked frame must have.
+const DOUBTFUL: f32 = 0.6;
+/// Steps in which it is carried on.
+const COASTING_STEPS: usize = 16;
+/// Most times that a found place is aligned again.
+const POLISHING_ROUNDS: usize = 4;
+/// Least gain in fit and likeness for which it is.
+const LEAST_GAIN: f32 = 0.01;
+
+/// Where a lost camera may be.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    alignment: Alignment,
+    /// Correlation with the anchor's picture.
+    likeness: f32,
+    anchor: usize,
+}
+
+impl Found {
+    fn score(&self) -> f32 {
+        self.alignment.fit + self.likeness
+    }
+}
+
+fn better(a: Option<Found>, b: Option<Found>) -> Option<Found> {
+    [a, b].into_iter().flatten().reduce(|a, b| if b.score() > a.score() { b } else { a })
+}
+
 /// Fuses RGB-D frames into a surface.
 pub struct Fusion {
     config: FusionConfig,
@@ -175,8 +205,9 @@ impl Fusion {
         let found = stage("track", || match self.state {
             _ if self.is_blind() => None,
             None => Some(self.first_pose()),
-            Some(Tracking::Tracked) => self.track(stamp),
-            Some(Tracking::Lost) => self.relocalise(),
+            // After a gap the camera may be anywhere.
+            Some(Tracking::Tracked) if seconds(self.last_stamp, stamp) <= MAX_PREDICTION_S => self.track(stamp),
+            Some(_) => self.relocalise(stamp),
         });
         let Some(pose) = found else { return Ok(self.lose()) };
         self.hold(&pose, stamp);
@@ -283,8 +314,7 @@ impl Fusion {
     fn track(&mut self, stamp: TimestampNs) -> Option<Pose> {
         let last = self.reference.world_from_camera;
         let dt = seconds(self.last_stamp, stamp);
-        let motion = if dt <= MAX_PREDICTION_S { self.velocity * dt } else { Vector6::zeros() };
-        let predicted = last.compose(&track::exp(&motion));
+        let predicted = last.compose(&track::exp(&(self.velocity * dt)));
         let effort = effort::choose(&self.config, self.last_blocks, self.frame.valid);
         let mut tracker = std::mem::take(&mut self.tracker);
 
@@ -310,14 +340,25 @@ impl Fusion {
         let (way, turn) = (moved.fixed_rows::<3>(0).norm(), moved.fixed_rows::<3>(3).norm());
         let possible = way <= (self.config.max_speed_m_s * dt).min(self.config.max_step_m)
             && turn <= (self.config.max_turn_rad_s * dt).min(self.config.max_step_rad);
-        tracing::trace!(?coarse, ?fine, possible, latency_s = self.latency.seconds(), "tracked");
-        if !(possible && self.holds(&coarse, &fine)) {
+        let alike = self.looks_alike(&pose);
+        tracing::trace!(?coarse, ?fine, possible, alike, latency_s = self.latency.seconds(), "tracked");
+        if !(possible && alike && self.holds(&coarse, &fine)) {
             return None;
         }
         if let Some(velocity) = self.recent_velocity() {
             self.latency.learn(&fine.terms, &velocity, &self.config);
         }
         Some(pose)
+    }
+
+    /// False if the frame looks like neither the anchor nor the last frame did from there: round things on a round table
+    /// have the same depth from all sides.
+    fn looks_alike(&self, pose: &Pose) -> bool {
+        let anchor = self.anchors.get(self.anchor).map(|a| &a.reference);
+        let references = anchor.into_iter().chain([&self.reference]);
+        let likeness: Vec<f32> = references.filter_map(|r| track::likeness(&self.scene(r), pose)).collect();
+        tracing::trace!(?likeness, "looks");
+        likeness.is_empty() || likeness.iter().any(|l| *l >= DOUBTFUL * self.config.min_likeness as f32)
     }
 
     /// True if enough of the frame agrees with the model, or, where the model is not known yet, with the last frame.
@@ -327,35 +368,41 @@ impl Fusion {
         fine.fit >= least || (coarse.fit >= least && agreement >= 0.6 && fine.overlap >= 0.1)
     }
 
-    /// Looks for the camera near the last pose and near the anchors that look like the frame.
-    fn relocalise(&mut self) -> Option<Pose> {
+    /// Looks for the camera where it was, where its motion would have taken it, and near the anchors that look like the frame.
+    fn relocalise(&mut self, stamp: TimestampNs) -> Option<Pose> {
         let mut tracker = std::mem::take(&mut self.tracker);
         let mut tries = vec![self.anchor];
         tries.extend(self.anchors.alike(&self.frame, RELOCALISATION_TRIES));
-        let mut best: Option<(Alignment, f32, usize)> = None;
-        let best_effort = effort::choose(&FusionConfig::default(), 0, 1.0);
+        let last = self.reference.world_from_camera;
+        let dt = seconds(self.last_stamp, stamp);
+        // In small steps: who goes around something does not go straight on.
+        let step = track::exp(&(self.velocity * (dt / COASTING_STEPS as f64)));
+        let carried_on = (dt <= MAX_COASTING_S).then(|| (0..COASTING_STEPS).fold(last, |pose, _| pose.compose(&step)));
+        let mut best: Option<Found> = None;
         for (n, i) in tries.into_iter().enumerate() {
             let Some(anchor) = self.anchors.get(i) else { continue };
-            let scene = self.scene(&anchor.reference);
             let at = anchor.reference.world_from_camera;
             let turned = rotate::align(&self.frame, &anchor.grey, &self.rig, DQuat::IDENTITY)
                 .map(|camera_from_anchor| Pose::new(at.rotation * camera_from_anchor.conjugate(), at.translation));
-            let coarse = [Some(at), turned, (n == 0).then_some(self.reference.world_from_camera)]
-                .into_iter()
-                .flatten()
-                .map(|start| tracker.align(&scene, &start, &start, &effort::FIND))
-                .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
-            let Some(coarse) = coarse else { continue };
-            let start = coarse.world_from_camera;
-            let fine = tracker.align(&scene, &start, &start, best_effort.fine);
-            let likeness = track::likeness(&scene, &fine.world_from_camera);
-            tracing::trace!(i, ?coarse, ?fine, likeness, "relocalisation");
-            if best.as_ref().is_none_or(|(b, l, _)| fine.fit + likeness > b.fit + l) {
-                best = Some((fine, likeness, i));
+            let [last, carried_on] = [Some(last), carried_on].map(|pose| pose.filter(|_| n == 0));
+            let starts = [Some(at), turned, last, carried_on];
+            best = better(best, self.find_from(&mut tracker, i, starts.into_iter().flatten()));
+        }
+        // From there, by the anchor nearest to it, until it gets no better.
+        for _ in 0..POLISHING_ROUNDS {
+            let Some(found) = best else { break };
+            let pose = found.alignment.world_from_camera;
+            let (distance, angle) = (self.config.anchor_distance, self.config.anchor_angle_rad);
+            let Some((nearest, _)) = self.anchors.nearest(&pose, distance, angle) else { break };
+            let polished = self.find_from(&mut tracker, nearest, [pose].into_iter());
+            let gain = polished.map_or(0.0, |p| p.score() - found.score());
+            best = better(best, polished);
+            if gain < LEAST_GAIN {
+                break;
             }
         }
         self.tracker = tracker;
-        let (found, likeness, anchor) = best?;
+        let Found { alignment: found, likeness, anchor } = best?;
         // A wrong place must not be fused: more agreement is asked of it than of a tracked frame. The picture is compared
         // by correlation, since its exposure and its blur may be others than the anchor's.
         let strict = (1.5 * self.config.min_fit as f32).min(0.9);
@@ -367,12 +414,24 @@ impl Fusion {
         Some(found.world_from_camera)
     }
 
+    /// The best alignment to an anchor from several starts.
+    fn find_from(&self, tracker: &mut Tracker, i: usize, starts: impl Iterator<Item = Pose>) -> Option<Found> {
+        let scene = self.scene(&self.anchors.get(i)?.reference);
+        let coarse = starts
+            .map(|start| tracker.align(&scene, &start, &start, &effort::FIND))
+            .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))?;
+        let start = coarse.world_from_camera;
+        let fine = tracker.align(&scene, &start, &start, effort::best().fine);
+        let likeness = track::likeness(&scene, &fine.world_from_camera).unwrap_or(0.0);
+        tracing::trace!(i, ?coarse, ?fine, likeness, "relocalisation");
+        Some(Found { alignment: fine, likeness, anchor: i })
+    }
+
     fn lose(&mut self) -> FrameReport {
         self.stats.lost_pairs += 1;
         if self.state == Some(Tracking::Tracked) {
             self.stats.losses += 1;
             self.state = Some(Tracking::Lost);
-            self.velocity = Vector6::zeros();
             self.streak = 0;
         }
         FrameReport {

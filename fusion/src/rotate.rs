@@ -15,6 +15,8 @@ const TINY_STEP: usize = 2;
 const MAX_SHIFT: f32 = 0.3;
 /// The result must lower the residual of the prediction to this share of it to be of interest.
 const WORTHWHILE: f32 = 0.95;
+/// … and by this many grey values: pictures of a bare wall fit each other at any turn, but for the noise.
+const ABOVE_NOISE: f32 = 0.5;
 
 /// `camera_from_reference` by rotation alone, from another frame's coarsest grey level, if that explains the picture clearly
 /// better than the predicted `start`.
@@ -27,7 +29,7 @@ pub fn align(frame: &Frame, reference: &Grey, rig: &Rig, start: DQuat) -> Option
         Some((rotation, _, error)) if error < WORTHWHILE * after => (rotation, error),
         _ => (refined, after),
     };
-    (best.1 < WORTHWHILE * before).then_some(best.0)
+    (best.1 < WORTHWHILE * before && best.1 < before - ABOVE_NOISE).then_some(best.0)
 }
 
 /// Means of `TINY_STEP`² pixels, less the picture's mean; unknown pixels count as mean.

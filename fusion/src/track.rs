@@ -204,9 +204,12 @@ fn photometric(
     })
 }
 
+/// Fewest points, and least share of a reference's points seen, that pictures are compared by.
+const LEAST_COMPARED: (usize, usize) = (50, 3);
+
 /// Correlation, −1 … 1, of what the frame shows at the reference's points with what they looked like, at the coarsest
-/// level; 0 where fewer than a third of them are seen.
-pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> f32 {
+/// level; `None` where too few of them are seen.
+pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> Option<f32> {
     let t = Rigid::from(&world_from_camera.inverse().compose(&scene.reference.world_from_camera));
     let level = LEVELS - 1;
     let (camera, points) = (&scene.rig.grey[level], &scene.reference.photo[level]);
@@ -218,8 +221,8 @@ pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> f32 {
             Some((f64::from(point.grey), f64::from(value)))
         })
         .collect();
-    if seen.is_empty() || seen.len() * 3 < points.len() {
-        return 0.0;
+    if seen.len() < LEAST_COMPARED.0 || seen.len() * LEAST_COMPARED.1 < points.len() {
+        return None;
     }
     let n = seen.len() as f64;
     let (ma, mb) = seen.iter().fold((0.0, 0.0), |m, (a, b)| (m.0 + a / n, m.1 + b / n));
@@ -228,7 +231,7 @@ pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> f32 {
         let (a, b) = (a - ma, b - mb);
         (ab, aa, bb) = (ab + a * b, aa + a * a, bb + b * b);
     }
-    (ab / (aa * bb).sqrt().max(1e-9)) as f32
+    Some((ab / (aa * bb).sqrt().max(1e-9)) as f32)
 }
 
 /// A frame's point with the plane of the model it belongs to, world coordinates.
@@ -273,9 +276,9 @@ fn associate_reference(
     reference: &Reference,
     pose: &Pose,
     out: &mut Vec<Association>,
-) -> usize {
+) -> Asked {
     out.clear();
-    let mut asked = 0;
+    let mut asked = Asked::default();
     let world_from_reference = Rigid::from(&reference.world_from_camera);
     let reference_from_camera = Rigid::from(&reference.world_from_camera.inverse().compose(pose));
     let to_depth = Rigid::from(&rig.depth_from_color);
@@ -286,7 +289,7 @@ fn associate_reference(
             if !s.is_valid() {
                 continue;
             }
-            asked += 1;
+            asked.points += 1;
             let p = reference_from_camera.apply(s.p);
             let Some(pixel) = rig.grid.pixel(to_depth.apply(p)) else { continue };
             let (u, v) = (pixel % rig.grid.width / 2, pixel / rig.grid.width / 2);
@@ -302,21 +305,30 @@ fn associate_reference(
     asked
 }
 
+/// What came of the points that were to be associated.
+#[derive(Debug, Clone, Copy, Default)]
+struct Asked {
+    points: usize,
+    /// Those that lie in known free space.
+    free: usize,
+}
+
 /// Association with the volume: the plane through the surface point nearest to each of the frame's points.
-fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, out: &mut Vec<Association>) -> usize {
+fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, out: &mut Vec<Association>) -> Asked {
     let t = Rigid::from(pose);
     let limit = 0.95 * volume.truncation_m();
-    let parts: Vec<(Vec<Association>, usize)> = frame
+    let parts: Vec<(Vec<Association>, Asked)> = frame
         .grid
         .par_chunks(CHUNK)
         .map(|surfels| {
             let mut found = Vec::with_capacity(surfels.len() / stride);
-            let mut asked = 0;
+            let mut asked = Asked::default();
             let mut cursor = Cursor::default();
             for s in surfels.iter().step_by(stride).filter(|s| s.is_valid()) {
-                asked += 1;
+                asked.points += 1;
                 let p = t.apply(s.p);
                 let Some(sample) = volume.sample(p, &mut cursor) else { continue };
+                asked.free += usize::from(sample.distance > limit);
                 let steepness = sample.gradient.length();
                 if sample.distance.abs() > limit || !(0.3..3.0).contains(&steepness) {
                     continue;
@@ -331,10 +343,11 @@ fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, 
         })
         .collect();
     out.clear();
-    let mut asked = 0;
+    let mut asked = Asked::default();
     for (found, n) in parts {
         out.extend(found);
-        asked += n;
+        asked.points += n.points;
+        asked.free += n.free;
     }
     asked
 }
@@ -347,6 +360,8 @@ pub struct Alignment {
     pub fit: f32,
     /// Share of the asked grid points where the geometry is known.
     pub overlap: f32,
+    /// Share of the asked grid points that lie where the volume knows free space.
+    pub contradicted: f32,
     /// Mean photometric residual of the last level, grey values.
     pub photo_error: f32,
     /// Share of the photometric points that were seen.
@@ -423,6 +438,7 @@ impl Tracker {
             world_from_camera: pose,
             fit: 0.0,
             overlap: 0.0,
+            contradicted: 0.0,
             photo_error: 0.0,
             photo_seen: 0.0,
             condition: 0.0,
@@ -448,8 +464,9 @@ impl Tracker {
                     pose = pose.compose(&exp(&solution.delta));
                     brightness.gain = (brightness.gain + solution.gain).clamp(0.2, 5.0);
                     brightness.offset = (brightness.offset + solution.offset).clamp(-128.0, 128.0);
-                    out.fit = geo.inliers as f32 / asked.max(1) as f32;
-                    out.overlap = geo.count as f32 / asked.max(1) as f32;
+                    out.fit = geo.inliers as f32 / asked.points.max(1) as f32;
+                    out.overlap = geo.count as f32 / asked.points.max(1) as f32;
+                    out.contradicted = asked.free as f32 / asked.points.max(1) as f32;
                     out.photo_error = (photo.absolute / photo.count.max(1) as f64) as f32;
                     out.photo_seen = photo.count as f32 / points.len().max(1) as f32;
                     out.condition = solution.condition;

@@ -63,6 +63,36 @@ fn a_plane_without_texture_stays_put() {
     assert!(metres < 0.005 && degrees < 0.3, "{metres} m, {degrees}°");
 }
 
+/// Where the light goes out over a plane, nothing tells how far the camera goes along it: its height and tilt must be right
+/// all the same, it must not run away, and it is put right when the texture is back.
+#[test]
+fn over_a_bare_plane_the_camera_does_not_run_away_and_texture_puts_it_right() {
+    let sensor = world::sensor(320, 240);
+    let plane = |contrast| World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast, cell_m: 0.03 };
+    let start = look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO);
+    // Smoothly 24 cm to the side and half the way back.
+    let side = |i: usize| 0.12 * (1.0 - libm::cos(0.075 * i as f64));
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut first = None;
+    let mut right_again = 0;
+    for i in 0..70 {
+        let bare = (10..55).contains(&i);
+        let pose = Pose::new(start.rotation, start.translation + DVec3::X * side(i));
+        let frame = plane(if bare { 0.0 } else { 90.0 }).look(&sensor, &pose, i);
+        let Some(found) = fusion.push(&frame).unwrap().world_from_camera else { continue };
+        let first: &Pose = first.get_or_insert(found);
+        let ours_in_truth = start.compose(&first.inverse()).compose(&found);
+        let off = ours_in_truth.translation - pose.translation;
+        let tilt = (ours_in_truth.rotation * pose.rotation.conjugate() * DVec3::Z).angle_between(DVec3::Z).to_degrees();
+        assert!(off.z.abs() < 0.01 && tilt < 0.7, "frame {i}: {} m, {tilt}°", off.z);
+        assert!(off.length() < if bare { 0.3 } else { 0.2 }, "frame {i}: ran away by {off} m");
+        let (metres, degrees) = error((first, &start), (&found, &pose));
+        assert!(i >= 10 || metres < 0.005, "frame {i}: {metres} m");
+        right_again += usize::from(i >= 60 && metres < 0.01 && degrees < 0.5);
+    }
+    assert!(right_again >= 9, "right in {right_again} of the last ten frames only");
+}
+
 #[test]
 fn a_fast_turn_is_followed() {
     let sensor = world::sensor(320, 240);
@@ -371,6 +401,82 @@ fn a_violent_turn_on_the_spot_is_followed() {
         .collect();
     let (metres, degrees) = worst_error(&sensor, &room, &truth);
     assert!(metres < 0.05 && degrees < 1.5, "{metres} m, {degrees}°");
+}
+
+/// A turn on the spot, back and forth, at up to 150° a second, colour smeared over ten pixels.
+#[test]
+fn a_fast_turn_is_followed_through_motion_blur() {
+    let sensor = world::sensor(240, 180);
+    let room = World {
+        shapes: vec![
+            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
+            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
+            Shape::Box(DVec3::new(1.2, -0.4, 0.0), DVec3::new(2.0, 0.5, 1.2)),
+        ],
+        mean: 120.0,
+        contrast: 80.0,
+        cell_m: 0.12,
+    };
+    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
+    let pose = |t: f64| {
+        let a = 40.0 * (1.0 - libm::cos(0.12 * t));
+        moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
+    };
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut first = None;
+    let mut squares = Vec::new();
+    for i in 0..64 {
+        let frame = room.look_during(&sensor, &pose, i, 4);
+        let found = fusion.push(&frame).unwrap().world_from_camera.expect("lost");
+        let first: &Pose = first.get_or_insert(found);
+        squares.push(error((first, &pose(0.0)), (&found, &pose(i as f64))).0.powi(2));
+    }
+    let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    assert!(rms < 0.02, "{rms} m");
+}
+
+/// A ball on a floor has the same shape from all sides: a camera that stands elsewhere from one frame to the next must not
+/// be taken to be where it was.
+#[test]
+fn a_jump_around_a_round_thing_is_noticed() {
+    let sensor = world::sensor(320, 240);
+    let round = World {
+        shapes: vec![Shape::Floor(0.0), Shape::Ball(DVec3::new(0.0, 0.0, 0.1), 0.12)],
+        mean: 120.0,
+        contrast: 90.0,
+        cell_m: 0.04,
+    };
+    let around = |a: f64| look_at(DVec3::new(0.8 * libm::sin(a), -0.8 * libm::cos(a), 0.5), DVec3::new(0.0, 0.0, 0.05));
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut first = None;
+    for i in 0..40 {
+        let away = (15..25).contains(&i);
+        let pose = around(0.01 * i as f64 + if away { 1.8 } else { 0.0 });
+        let report = fusion.push(&round.look(&sensor, &pose, i)).unwrap();
+        assert_eq!(report.tracking == Tracking::Lost, away, "frame {i}");
+        let Some(found) = report.world_from_camera else { continue };
+        let first: &Pose = first.get_or_insert(found);
+        let e = error((first, &around(0.0)), (&found, &pose));
+        assert!(e.0 < 0.02 && e.1 < 1.5, "frame {i}: fused in a wrong place: {e:?}");
+    }
+}
+
+/// Frames that never came, half a second of them, while the camera goes around something: the motion is carried on.
+#[test]
+fn a_gap_in_the_recording_is_bridged() {
+    let sensor = world::sensor(320, 240);
+    let around = |i: usize| {
+        let a = 0.03 * i as f64;
+        look_at(DVec3::new(1.1 * libm::sin(a), -1.1 * libm::cos(a), 0.7), DVec3::new(0.0, 0.0, 0.1))
+    };
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut first = None;
+    for i in (0..12).chain(26..38) {
+        let found = fusion.push(&desk().look(&sensor, &around(i), i)).unwrap().world_from_camera.expect("lost");
+        let first: &Pose = first.get_or_insert(found);
+        let e = error((first, &around(0)), (&found, &around(i)));
+        assert!(e.0 < 0.01 && e.1 < 0.7, "frame {i}: {e:?}");
+    }
 }
 
 #[test]

@@ -85,22 +85,36 @@ impl World {
 
     /// What the sensor sees from a pose, with the Kinect's depth noise, as frame number `index` of 30 a second.
     pub fn look(&self, sensor: &Sensor, pose: &Pose, index: usize) -> RgbdFrame {
+        self.look_during(sensor, &|_| *pose, index, 1)
+    }
+
+    /// The same from a moving camera: `pose` after so many frames, colour the mean of `samples` instants while the shutter
+    /// is open.
+    pub fn look_during(&self, sensor: &Sensor, pose: &dyn Fn(f64) -> Pose, index: usize, samples: usize) -> RgbdFrame {
+        /// How long the shutter is open, in frames.
+        const SHUTTER: f64 = 0.6;
         let k = sensor.color.intrinsics;
         let (mut depth, mut data) = (Vec::new(), Vec::new());
+        let open = |s: usize| index as f64 + SHUTTER * ((s as f64 + 0.5) / samples as f64 - 0.5);
+        let poses: Vec<Pose> = (0..samples).map(|s| pose(open(s))).collect();
         for v in 0..k.height {
             for u in 0..k.width {
                 let ray = DVec3::new((f64::from(u) - k.cx) / k.fx, (f64::from(v) - k.cy) / k.fy, 1.0);
-                let (o, d) = (pose.translation, pose.rotation * ray);
                 let noise = |salt: i32| {
                     let at = |i: i32| hash(IVec3::new(u as i32, v as i32, index as i32 * 64 + salt * 8 + i));
                     at(0) + at(1) + at(2) + at(3) - 2.0
                 };
-                let z = self.hit(o, d).filter(|z| *z < 9.0);
+                let hit = |pose: &Pose| {
+                    let (o, d) = (pose.translation, pose.rotation * ray);
+                    self.hit(o, d).filter(|z| *z < 9.0).map(|z| (z, o + d * z))
+                };
+                let hits: Vec<_> = poses.iter().map(hit).collect();
                 // The sum of four uniform values has a variance of 1/3.
                 let sigma = |z: f64| 0.0012 + 0.0019 * (z - 0.4) * (z - 0.4);
-                let measured = z.map_or(0.0, |z| z + sigma(z) * 1.7 * noise(0));
+                let measured = hits[samples / 2].map_or(0.0, |(z, _)| z + sigma(z) * 1.7 * noise(0));
                 depth.push((measured * 1000.0).round() as u16);
-                let grey = z.map_or(10.0, |z| self.grey(o + d * z)) + 2.0 * noise(1);
+                let greys = hits.iter().map(|h| h.map_or(10.0, |(_, p)| self.grey(p)));
+                let grey = greys.sum::<f64>() / samples as f64 + 2.0 * noise(1);
                 data.extend([grey.clamp(0.0, 255.0).round() as u8; 3]);
             }
         }
