@@ -134,10 +134,28 @@ pub fn read_ply(path: &Path) -> Result<Mesh> {
         return Err(Error::invalid(path, "the mesh file is larger than 4 GiB", "simplify the mesh"));
     }
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-    parse(&bytes).map_err(|problem| Error::invalid(path, problem, "export the mesh again as PLY with triangles"))
+    let parsed = parse_ply(&bytes, &[]);
+    parsed
+        .map(|(mesh, _)| mesh)
+        .map_err(|problem| Error::invalid(path, problem, "export the mesh again as PLY with triangles"))
 }
 
-fn parse(bytes: &[u8]) -> Parsed<Mesh> {
+/// A number per vertex beyond position and normal.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VertexColumn {
+    /// Name of the property.
+    pub name: String,
+    /// True if the file holds it as `uchar`.
+    pub is_byte: bool,
+    /// One value a vertex.
+    pub values: Vec<f32>,
+}
+
+/// Reads a mesh as [`read_ply`] does, from a file's bytes, and those of the `wanted` vertex properties that it has.
+///
+/// # Errors
+/// What is wrong with the bytes.
+pub fn parse_ply(bytes: &[u8], wanted: &[&str]) -> std::result::Result<(Mesh, Vec<VertexColumn>), String> {
     let (format, elements, data) = parse_header(bytes)?;
     let mut body = match format {
         Format::Ascii => {
@@ -146,6 +164,7 @@ fn parse(bytes: &[u8]) -> Parsed<Mesh> {
         Format::Little | Format::Big => Body::Binary { bytes: data, big: format == Format::Big },
     };
     let mut mesh = Mesh::default();
+    let mut columns = Vec::new();
     let mut has_vertices = false;
     for element in &elements {
         if element.count > 0 && element.properties.is_empty() {
@@ -154,7 +173,7 @@ fn parse(bytes: &[u8]) -> Parsed<Mesh> {
         match element.name.as_str() {
             "vertex" if !has_vertices => {
                 has_vertices = true;
-                read_vertices(&mut body, element, data.len(), &mut mesh)?;
+                columns = read_vertices(&mut body, element, data.len(), wanted, &mut mesh)?;
             }
             "face" => read_faces(&mut body, element, &mut mesh)?,
             _ => {
@@ -177,7 +196,7 @@ fn parse(bytes: &[u8]) -> Parsed<Mesh> {
         let given = mesh.normals.iter().zip(computed).map(|(n, computed)| n.normalize_or(computed));
         mesh.normals = given.collect();
     }
-    Ok(mesh)
+    Ok((mesh, columns))
 }
 
 fn parse_header(bytes: &[u8]) -> Parsed<(Format, Vec<Element>, &[u8])> {
@@ -239,7 +258,13 @@ fn read_row(body: &mut Body, properties: &[Property], mut each: impl FnMut(usize
     Ok(())
 }
 
-fn read_vertices(body: &mut Body, element: &Element, file_bytes: usize, mesh: &mut Mesh) -> Parsed<()> {
+fn read_vertices(
+    body: &mut Body,
+    element: &Element,
+    file_bytes: usize,
+    wanted: &[&str],
+    mesh: &mut Mesh,
+) -> Parsed<Vec<VertexColumn>> {
     let find = |name: &str| element.properties.iter().position(|p| p.name == name && p.count.is_none());
     let [x, y, z] = ["x", "y", "z"].map(|name| find(name).ok_or_else(|| format!("vertices without {name}")));
     let position = [x?, y?, z?];
@@ -250,17 +275,25 @@ fn read_vertices(body: &mut Body, element: &Element, file_bytes: usize, mesh: &m
     if element.count > body.left(file_bytes) || element.count > u32::MAX as usize {
         return Err(format!("{} vertices announced, but the data end early", element.count));
     }
+    let found = wanted.iter().filter_map(|name| find(name));
+    let mut columns: Vec<(usize, VertexColumn)> = found
+        .map(|k| {
+            let p = &element.properties[k];
+            (k, VertexColumn { name: p.name.clone(), is_byte: p.number == Number::U8, values: Vec::new() })
+        })
+        .collect();
     let mut row = vec![0.0; element.properties.len()];
     for index in 0..element.count {
         read_row(body, &element.properties, |property, value| row[property] = value)?;
         let vector = |columns: [usize; 3]| Vec3::from_array(columns.map(|c| row[c] as f32));
         mesh.positions.push(vector(position));
         mesh.normals.extend(normal.map(vector));
+        columns.iter_mut().for_each(|(k, column)| column.values.push(row[*k] as f32));
         if !mesh.positions[index].is_finite() || !mesh.normals.get(index).is_none_or(|n| n.is_finite()) {
             return Err(format!("vertex {index} is NaN or infinite"));
         }
     }
-    Ok(())
+    Ok(columns.into_iter().map(|(_, column)| column).collect())
 }
 
 fn read_faces(body: &mut Body, element: &Element, mesh: &mut Mesh) -> Parsed<()> {
@@ -357,6 +390,10 @@ pub fn write_ply(path: &Path, mesh: &Mesh, columns: &[(&str, Column)]) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn parse(bytes: &[u8]) -> Parsed<Mesh> {
+        parse_ply(bytes, &[]).map(|(mesh, _)| mesh)
+    }
     use crate::testing::bumpy_mesh;
     use proptest::prelude::*;
 

@@ -1,6 +1,6 @@
-//! What is exported, opened by programs that are not ours: the Khronos validator, three.js, trimesh, OpenEXR's tools,
-//! COLMAP, and a browser. Where such a program is not installed its test says that it was skipped, and why; `.ci/run`
-//! installs them all.
+//! What is exported, opened by programs that are not ours: the Khronos validator, three.js, Blender, trimesh, Open3D,
+//! OpenEXR's tools, COLMAP, and a browser. Where such a program is not installed its test says that it was skipped, and
+//! why; `.ci/run` installs them all but Open3D, which is 400 MB.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "these are tests")]
 
@@ -99,11 +99,11 @@ fn three_js() {
     );
 }
 
-#[test]
-fn trimesh() {
-    let Some(mut python) = python("trimesh") else { return };
+/// Mesh and height as a Python module reads them from GLB and PLY.
+fn read_by(module: &str) {
+    let Some(mut python) = python(module) else { return };
     let e = exported();
-    let found = accepted(&python.arg(script("read.py")).arg("trimesh").arg(e.dir.path()).output().unwrap());
+    let found = accepted(&python.arg(script("read.py")).arg(module).arg(e.dir.path()).output().unwrap());
     let mesh = &e.estimate.mesh;
     assert_eq!(
         (found["ply_vertices"].as_u64(), found["ply_triangles"].as_u64()),
@@ -111,10 +111,43 @@ fn trimesh() {
     );
     assert_eq!(found["glb_triangles"], mesh.triangles.len());
     // +Z up here is +Y up there.
-    let top = mesh.positions.iter().map(|p| p.z).fold(f32::NEG_INFINITY, f32::max);
     for up in ["glb_up", "ply_up"] {
-        assert!((found[up].as_f64().unwrap() - f64::from(top)).abs() < 1e-4, "{found}");
+        assert!((found[up].as_f64().unwrap() - top(mesh)).abs() < 1e-4, "{found}");
     }
+}
+
+fn top(mesh: &recordings::types::Mesh) -> f64 {
+    mesh.positions.iter().map(|p| f64::from(p.z)).fold(f64::NEG_INFINITY, f64::max)
+}
+
+#[test]
+fn trimesh() {
+    read_by("trimesh");
+}
+
+#[test]
+fn open3d() {
+    read_by("open3d");
+}
+
+#[test]
+fn blender() {
+    if !works(Command::new("blender").arg("--version")) {
+        eprintln!("skipped: blender is not on the PATH");
+        return;
+    }
+    let e = exported();
+    let run = ["-b", "--factory-startup", "--python-exit-code", "1", "--python"];
+    let output =
+        Command::new("blender").args(run).arg(script("blender.py")).arg("--").arg(e.dir.path()).output().unwrap();
+    let said = text(&output.stdout);
+    let found =
+        said.lines().find_map(|l| l.strip_prefix("found ")).unwrap_or_else(|| panic!("{said}{}", text(&output.stderr)));
+    let found: serde_json::Value = serde_json::from_str(found).unwrap();
+    assert_eq!(found["triangles"], e.estimate.mesh.triangles.len());
+    assert_eq!(found["cameras"], e.estimate.keyframes.len());
+    assert_eq!((&found["colors"], &found["light"]), (&true.into(), &[512, 256].into()));
+    assert!((found["up"].as_f64().unwrap() - top(&e.estimate.mesh)).abs() < 1e-4, "{found}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-"""Reads what is exported: python read.py trimesh|pycolmap FOLDER. Prints what it found as JSON."""
+"""Reads what is exported: python read.py trimesh|open3d|pycolmap FOLDER. Prints what it found as JSON."""
 
 import json
 import sys
@@ -16,6 +16,17 @@ if reader == "trimesh":
         "ply_vertices": len(ply.vertices),
         "ply_triangles": len(ply.faces),
         "ply_up": float(ply.vertices[:, 2].max()),
+    }
+elif reader == "open3d":
+    import open3d
+
+    glb, ply = (open3d.io.read_triangle_mesh(f"{folder}/result.{form}") for form in ("glb", "ply"))
+    found = {
+        "glb_triangles": len(glb.triangles),
+        "glb_up": float(glb.get_max_bound()[1]),
+        "ply_vertices": len(ply.vertices),
+        "ply_triangles": len(ply.triangles),
+        "ply_up": float(ply.get_max_bound()[2]),
     }
 else:
     import pycolmap

@@ -70,7 +70,7 @@ pub struct Render {
     /// segment:N: what is inserted gets the material of this segment.
     #[arg(long, value_name = "MATERIAL", value_parser = segment)]
     pub material: Option<u32>,
-    /// segment:N, box:x0,y0,z0,x1,y1,z1 or point:x,y (a pixel of the first view).
+    /// segment:N, box:x0,y0,z0,x1,y1,z1 or point:x,y: the thing that stands under a pixel of the first view.
     #[arg(long, value_name = "WHAT", value_parser = removal)]
     pub remove: Vec<Gone>,
     /// A panorama (.hdr, .exr, .png, .jpg), a folder of them, a video, result:OTHER.lres or sh:FILE.
@@ -138,7 +138,7 @@ impl From<RealityError> for Failure {
     fn from(e: RealityError) -> Self {
         match e {
             RealityError::Request(_) => Self::Usage(e.to_string()),
-            RealityError::File { .. } => Self::Input(e.to_string()),
+            RealityError::Result(_) | RealityError::File { .. } => Self::Input(e.to_string()),
         }
     }
 }

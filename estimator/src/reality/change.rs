@@ -1,8 +1,9 @@
 //! From a result to a world with something inserted and something removed, lit on both sides.
 
 use super::environment::Environment;
+use super::hole::{Cut, cut};
 use super::object::{Material, Object};
-use super::remove::{Adjacency, Cut, cut, inpaint};
+use super::remove::{Adjacency, inpaint};
 use super::seen::Backdrop;
 use super::texture::carry_on;
 use super::world::{Ball, Body, Side, World};
@@ -16,6 +17,10 @@ use recordings::result::Estimate;
 const GLOSS_ALPHA: f32 = 0.2;
 /// Share of irradiance below which a change is not followed: an eighth of a level in a bright 8-bit picture.
 pub const SMALLEST_REACH: f32 = 1e-3;
+/// Share of irradiance from which on a change is followed with all rays; the error of a smaller one shrinks with it.
+const FULL_REACH: f32 = 0.1;
+/// No fewer rays than this share.
+const FEWEST_RAYS: f32 = 0.2;
 /// A surface that gets less than this share of the light it would get in the open is not asked for its colour.
 const DARK: f32 = 0.1;
 /// Rounds of averaging over neighbours of the level between albedo × light and what was seen.
@@ -153,15 +158,17 @@ fn light(
         world.kept.object.mesh.triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
         used
     };
-    let reached: Vec<bool> =
-        (0..n).into_par_iter().map(|v| used[v] && world.reach(&world.kept.vertex_spot(v)) > SMALLEST_REACH).collect();
+    let reach: Vec<f32> =
+        (0..n).into_par_iter().map(|v| if used[v] { world.reach(&world.kept.vertex_spot(v)) } else { 0.0 }).collect();
+    let reached: Vec<bool> = reach.iter().map(|r| *r > SMALLEST_REACH).collect();
     let irradiance: Vec<Vec3> = (0..n)
         .into_par_iter()
         .map(|v| {
             if !reached[v] {
                 return Vec3::ZERO;
             }
-            world.gather(&world.kept.vertex_spot(v), Side::Before, config.vertex_rays, 0, hash(v as u32, seed))
+            let rays = rays(reach[v], config.vertex_rays);
+            world.gather(&world.kept.vertex_spot(v), Side::Before, rays, 0, hash(v as u32, seed))
         })
         .collect();
     let open = irradiance.iter().fold(Vec3::ZERO, |m, e| m.max(*e)).max_element();
@@ -201,7 +208,7 @@ fn light(
                 reflectance[v]
                     * world.gather(&spot, Side::After, config.vertex_rays, 0, hash(v as u32, seed)).max(Vec3::ZERO)
             } else {
-                let change = world.change(&spot, config.change_rays, hash(v as u32, seed ^ 0x51ed));
+                let change = world.change(&spot, rays(reach[v], config.change_rays), hash(v as u32, seed ^ 0x51ed));
                 world.kept.radiance[v] * ratio(irradiance[v], change)
             }
         })
@@ -209,6 +216,13 @@ fn light(
     world.kept.after = after;
     light_inserted(&mut world, config, 2);
     Changed { world, irradiance, reflectance, reached, filled, backdrop: Backdrop::default() }
+}
+
+/// How many of `most` rays tell a change of this reach as exactly as `most` tell a large one.
+#[must_use]
+pub fn rays(reach: f32, most: u32) -> u32 {
+    let share = reach / FULL_REACH;
+    (most as f32 * (share * share).clamp(FEWEST_RAYS, 1.0)).ceil() as u32
 }
 
 /// Averages `values` over neighbours that are `known`, again and again.

@@ -4,7 +4,7 @@
 //! `photo + gain · (with − without)` when the photo itself says what the surface's colour is, so that texture and noise
 //! of the photo scale with its light. What was not in view before is rendered with the keyframe's gain.
 
-use super::change::{Changed, ratio};
+use super::change::{Changed, ratio, rays};
 use super::object::{interpolate, weights};
 use super::sampling::point;
 use super::world::{Body, Side, Spot};
@@ -243,7 +243,7 @@ fn lighting(
                 return (None, after);
             }
             let before = interpolate(&changed.irradiance, triangles[hit.triangle as usize], hit);
-            let change = world.change(spot, config.pixel_change_rays, seed);
+            let change = world.change(spot, rays(world.reach(spot), config.pixel_change_rays), seed);
             let after = if uncovered[i] > 0.0 { after } else { (before + change).max(Vec3::ZERO) };
             (Some(ratio(before, change)), after)
         })

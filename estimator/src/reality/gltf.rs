@@ -1,8 +1,7 @@
 //! Reads an object from glTF 2.0 (`.glb`, or `.gltf` with files beside it or data in it): triangles of every node of the
 //! scene, base colour, metalness, roughness, specular, textures. glTF's +Y up becomes ours: (x, y, z) = (x, −z, y).
 
-use super::object::{Material, Object, Texture};
-use super::ply::{MOST_ELEMENTS, finish};
+use super::object::{Material, Object, Texture, finish};
 use glam::{Mat4, Quat, Vec2, Vec3};
 use recordings::types::{ColorEncoding, ColorFrame, Response};
 use serde_json::Value;
@@ -14,6 +13,8 @@ const CHUNK_JSON: u32 = 0x4e4f_534a;
 const CHUNK_BIN: u32 = 0x004e_4942;
 /// Nodes below nodes; deeper means a loop.
 const DEEPEST: usize = 64;
+/// Vertices and triangles that an object may have.
+const MOST_ELEMENTS: usize = 20_000_000;
 
 struct File<'a> {
     json: Value,

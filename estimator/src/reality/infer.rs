@@ -23,6 +23,9 @@ const LAMP_WIDTH: f64 = 0.35;
 const FAINTEST: f64 = 0.08;
 /// Share of the unseen light that the even level may take.
 const EVEN_SHARE: f64 = 0.7;
+/// Bands of what lamps leave over that are believed, less and less (a Hann window): few harmonics ring, each channel for
+/// itself.
+const BELIEVED_BANDS: f64 = 5.0;
 /// No direction is darker than this share of the even level.
 const FLOOR: f32 = 0.25;
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
@@ -48,7 +51,8 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
         middle.map_or(0.5 * left, |m| m[c]).min(left).max(0.0)
     });
     let even = Vec3::from(even.map(|x| x as f32));
-    let base = Environment::from_texels((0..SIDE * SIDE).map(|i| even.lerp(radiance(i), trust(i))).collect());
+    let likely = |i: usize| known.get(i).map_or(even, |k| even.lerp(k.likely, k.near));
+    let base = Environment::from_texels((0..SIDE * SIDE).map(|i| likely(i).lerp(radiance(i), trust(i))).collect());
     let explained = base.project(bands);
     let mut rest: Vec<[f64; 3]> =
         total.iter().zip(explained).map(|(t, e)| std::array::from_fn(|c| t[c] - e[c])).collect();
@@ -58,6 +62,10 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
     let sharpness = (1.0 / (width * width)) as f32;
     // ∫ exp(s (cos − 1)) dω = 2π (1 − e^(−2s)) / s.
     let peak = sharpness / std::f32::consts::TAU;
+    for (k, r) in rest.iter_mut().enumerate() {
+        let l = (k.isqrt() as f64).min(BELIEVED_BANDS);
+        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / BELIEVED_BANDS)));
+    }
     let texels: Vec<Vec3> = (0..SIDE * SIDE)
         .into_par_iter()
         .map(|i| {
@@ -70,7 +78,7 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
                 }
             }
             let clipped = known.get(i).is_some_and(|k| k.clipped && k.trust > 0.0);
-            let inferred = within(even + sum, even);
+            let inferred = within(likely(i) + sum, even);
             let inferred = if clipped { inferred.max(radiance(i)) } else { inferred };
             inferred.lerp(radiance(i), trust(i))
         })

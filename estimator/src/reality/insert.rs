@@ -105,7 +105,8 @@ fn oddities(object: &Object, estimate: &Estimate, scene: &Scene) -> Vec<String> 
     let (from, to) = p.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
     let mut odd = Vec::new();
     if low.cmpgt(to).any() || high.cmplt(from).any() {
-        odd.push(format!("stands outside the scan, which reaches from {from} to {to} m"));
+        let shown = |p: Vec3| format!("{:.2},{:.2},{:.2}", p.x, p.y, p.z);
+        odd.push(format!("stands outside the scan, which reaches from {} to {} m", shown(from), shown(to)));
     }
     let middle = (low + high) / 2.0;
     if let Some(hit) = scene.closest_hit(middle, Vec3::Z) {
@@ -131,7 +132,7 @@ fn from_file(path: &Path) -> Result<Object> {
 
 /// A result's surface, or some of its segments.
 fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
-    let result = Estimate::read(path).map_err(|e| RealityError::file(path, e))?;
+    let result = Estimate::read(path)?;
     if let Some(s) = segments.iter().find(|s| !result.segment.contains(s)) {
         let most = result.segments.len().saturating_sub(1);
         return Err(RealityError::file(path, format!("has no segment {s} (they go from 0 to {most})")));

@@ -4,6 +4,7 @@ pub mod change;
 pub mod compose;
 pub mod environment;
 pub mod gltf;
+pub mod hole;
 pub mod infer;
 pub mod insert;
 pub mod object;
@@ -14,6 +15,7 @@ pub mod remove;
 pub mod sampling;
 pub mod seen;
 pub mod texture;
+pub mod thing;
 pub mod view;
 pub mod world;
 
@@ -23,6 +25,9 @@ pub enum RealityError {
     /// The request makes no sense for this result.
     #[error("{0}")]
     Request(String),
+    /// A result cannot be read; the message names it.
+    #[error(transparent)]
+    Result(#[from] recordings::Error),
     /// A file cannot be used.
     #[error("{path}: {problem}")]
     File {

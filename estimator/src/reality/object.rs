@@ -277,6 +277,31 @@ pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     sums.into_iter().map(|n| n.try_normalize().unwrap_or(Vec3::Z)).collect()
 }
 
+/// Checks what every object must be, and fills in normals.
+///
+/// # Errors
+/// NaN, indices out of range, no triangles.
+pub fn finish(mut object: Object) -> Result<Object, String> {
+    let n = object.mesh.positions.len();
+    if object.mesh.triangles.is_empty() {
+        return Err("there are no triangles in it".into());
+    }
+    if let Some(p) = object.mesh.positions.iter().find(|p| !p.is_finite()) {
+        return Err(format!("a vertex is not finite: {p}"));
+    }
+    if let Some(i) = object.mesh.triangles.iter().flatten().find(|i| **i as usize >= n) {
+        return Err(format!("a triangle names vertex {i} of {n}"));
+    }
+    if object.color.iter().any(|c| !c.is_finite()) {
+        return Err("a colour is not finite".into());
+    }
+    if object.mesh.normals.len() != n || object.mesh.normals.iter().any(|x| !x.is_finite()) {
+        object.mesh.normals = vertex_normals(&object.mesh.positions, &object.mesh.triangles);
+    }
+    object.material.resize(object.mesh.triangles.len(), 0);
+    Ok(object)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

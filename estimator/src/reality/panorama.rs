@@ -9,6 +9,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Response;
 use std::f32::consts::{PI, TAU};
+use std::io::{BufRead, Read, Seek};
 use std::path::Path;
 
 /// Widest panorama that is accepted, in pixels.
@@ -19,6 +20,9 @@ const WIDEST_PICTURE: u32 = 8192;
 const KEPT: usize = 1024;
 /// Largest file, in bytes.
 const LARGEST_FILE: u64 = 1 << 30;
+/// Longest line of a Radiance header, in bytes.
+const LONGEST_LINE: u64 = 4096;
+const TRUNCATED: &str = "is truncated";
 
 /// A panorama: linear RGB radiance, row-major, `2 height` × `height`.
 #[derive(Debug, Clone, PartialEq)]
@@ -88,22 +92,25 @@ impl Panorama {
         if size > LARGEST_FILE {
             return Err(RealityError::file(path, "is larger than 1 GiB; scale it down first"));
         }
-        let bytes = std::fs::read(path).map_err(|e| RealityError::file(path, e))?;
-        Self::decode(bytes).map_err(|e| RealityError::file(path, e))
+        let file = std::fs::File::open(path).map_err(|e| RealityError::file(path, e))?;
+        Self::decode(std::io::BufReader::new(file)).map_err(|e| RealityError::file(path, e))
     }
 
-    /// Decodes the bytes of a file.
+    /// Decodes a file, high-range forms without holding it as a whole.
     ///
     /// # Errors
     /// As [`Panorama::read`].
-    pub fn decode(bytes: Vec<u8>) -> std::result::Result<Self, String> {
-        if bytes.is_empty() {
+    pub fn decode(mut file: impl BufRead + Seek) -> std::result::Result<Self, String> {
+        let start = file.fill_buf().map_err(|e| e.to_string())?;
+        if start.is_empty() {
             Err("is empty".into())
-        } else if bytes.starts_with(b"#?") {
-            radiance(&bytes)
-        } else if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            openexr(&bytes)
+        } else if start.starts_with(b"#?") {
+            radiance(file)
+        } else if start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            openexr(file)
         } else {
+            let mut bytes = Vec::new();
+            file.read_to_end(&mut bytes).map_err(|e| e.to_string())?;
             if let Some((width, height, _)) = gltf::picture_size(&bytes) {
                 Reduced::new(width as usize, height as usize)?;
                 if width > WIDEST_PICTURE {
@@ -249,17 +256,14 @@ pub fn turned(coefficients: &[[f64; 3]], yaw: f64) -> Vec<[f64; 3]> {
 }
 
 /// Radiance RGBE, run-length encoded or not.
-fn radiance(bytes: &[u8]) -> std::result::Result<Panorama, String> {
-    let short = || "is truncated".to_string();
-    let mut at = 0;
+fn radiance(mut file: impl BufRead) -> std::result::Result<Panorama, String> {
     let mut line = || {
-        let end = bytes[at..].iter().position(|b| *b == b'\n')? + at;
-        let text = String::from_utf8_lossy(&bytes[at..end]).into_owned();
-        at = end + 1;
-        Some(text)
+        let mut text = Vec::new();
+        let n = (&mut file).take(LONGEST_LINE).read_until(b'\n', &mut text).map_err(|e| e.to_string())?;
+        if n == 0 || text.pop() != Some(b'\n') { Err(TRUNCATED.to_string()) } else { Ok(text) }
     };
-    while !line().ok_or_else(short)?.is_empty() {}
-    let size = line().ok_or_else(short)?;
+    while !line()?.is_empty() {}
+    let size = String::from_utf8_lossy(&line()?).into_owned();
     let words: Vec<&str> = size.split_ascii_whitespace().collect();
     let ["-Y", height, "+X", width] = words.as_slice() else {
         return Err(format!("has an orientation that is not read: `{size}`"));
@@ -269,7 +273,7 @@ fn radiance(bytes: &[u8]) -> std::result::Result<Panorama, String> {
     let mut out = Reduced::new(width, height)?;
     let mut row = vec![[0u8; 4]; width];
     for y in 0..height {
-        at = scanline(bytes, at, &mut row).ok_or_else(short)?;
+        scanline(&mut file, &mut row).map_err(|_| TRUNCATED)?;
         for (x, p) in row.iter().enumerate() {
             let scale = if p[3] == 0 { 0.0 } else { libm::ldexpf(1.0, i32::from(p[3]) - 136) };
             out.add(x, y, Vec3::new(f32::from(p[0]), f32::from(p[1]), f32::from(p[2])) * scale);
@@ -278,40 +282,43 @@ fn radiance(bytes: &[u8]) -> std::result::Result<Panorama, String> {
     out.finish()
 }
 
-/// Decodes one scanline; returns where the next begins.
-fn scanline(bytes: &[u8], mut at: usize, row: &mut [[u8; 4]]) -> Option<usize> {
-    let head = bytes.get(at..at + 4)?;
+/// Decodes one scanline.
+fn scanline(file: &mut impl Read, row: &mut [[u8; 4]]) -> std::io::Result<()> {
+    let mut head = [0; 4];
+    file.read_exact(&mut head)?;
     let coded = head[0] == 2 && head[1] == 2 && usize::from(head[2]) << 8 | usize::from(head[3]) == row.len();
     if !coded {
-        for p in row.iter_mut() {
-            p.copy_from_slice(bytes.get(at..at + 4)?);
-            at += 4;
-        }
-        return Some(at);
+        row[0] = head;
+        return row[1..].iter_mut().try_for_each(|p| file.read_exact(p));
     }
-    at += 4;
+    let mut values = [0; 128];
     for component in 0..4 {
         let mut x = 0;
         while x < row.len() {
-            let n = usize::from(*bytes.get(at)?);
-            let (count, run) = if n > 128 { (n - 128, true) } else { (n, false) };
+            let mut n = [0];
+            file.read_exact(&mut n)?;
+            let (count, run) = if n[0] > 128 { (usize::from(n[0]) - 128, true) } else { (usize::from(n[0]), false) };
             if count == 0 || x + count > row.len() {
-                return None;
+                return Err(std::io::ErrorKind::InvalidData.into());
             }
-            for i in 0..count {
-                row[x + i][component] = *bytes.get(at + 1 + if run { 0 } else { i })?;
+            let values = &mut values[..count];
+            if run {
+                file.read_exact(&mut values[..1])?;
+                values.fill(values[0]);
+            } else {
+                file.read_exact(values)?;
             }
-            at += 1 + if run { 1 } else { count };
+            row[x..].iter_mut().zip(values).for_each(|(p, v)| p[component] = *v);
             x += count;
         }
     }
-    Some(at)
+    Ok(())
 }
 
-fn openexr(bytes: &[u8]) -> std::result::Result<Panorama, String> {
+fn openexr(mut file: impl BufRead + Seek) -> std::result::Result<Panorama, String> {
     use exr::prelude::*;
-    let meta =
-        MetaData::read_from_buffered(std::io::Cursor::new(bytes), false).map_err(|e| format!("is damaged: {e}"))?;
+    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| format!("is damaged: {e}"))?;
+    file.rewind().map_err(|e| e.to_string())?;
     let size = meta.headers.first().ok_or("has no picture in it")?.layer_size;
     Reduced::new(size.0, size.1)?;
     let image = read()
@@ -328,7 +335,7 @@ fn openexr(bytes: &[u8]) -> std::result::Result<Panorama, String> {
         .first_valid_layer()
         .all_attributes()
         .non_parallel()
-        .from_buffered(std::io::Cursor::new(bytes))
+        .from_buffered(file)
         .map_err(|e| format!("is damaged: {e}"))?;
     image.layer_data.channel_data.pixels?.finish()
 }
@@ -355,7 +362,7 @@ mod tests {
 
     #[test]
     fn what_is_no_panorama_is_refused_by_name() {
-        let say = |b: Vec<u8>| Panorama::decode(b).unwrap_err();
+        let say = |b: Vec<u8>| Panorama::decode(std::io::Cursor::new(b)).unwrap_err();
         assert!(say(vec![]).contains("empty"));
         assert!(say(b"#?RADIANCE\n\n-Y 4 +X 9\n".to_vec()).contains("9x4"));
         assert!(say(b"#?RADIANCE\n\n-Y 20000 +X 40000\n".to_vec()).contains("more than"));

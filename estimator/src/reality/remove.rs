@@ -1,20 +1,20 @@
-//! Taking things out: which part of the mesh goes, and what is behind it.
+//! Taking things out: which part of the mesh goes, and what its neighbourhood continues into its place.
 
-use super::object::vertex_normals;
+use super::thing::{LARGEST_THING, grown, thing};
 use super::{RealityError, Result};
 use crate::scene::Scene;
 use glam::Vec3;
 use recordings::types::Mesh;
-use std::collections::BTreeMap;
 
 /// What is to go.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Removal {
-    /// Every vertex of a segment.
+    /// Every vertex of a segment; the whole thing where that is most of it, and what would be left hanging in the air.
     Segment(u32),
     /// Every vertex in a box: lowest and highest corner.
     Box(Vec3, Vec3),
-    /// What a ray hits: its whole connected piece if that is a small part of the scan, otherwise its segment's patch.
+    /// What a ray hits: the thing that rises from its support there, or a connected piece that is a small part of the
+    /// scan; where neither is to be told, its segment's patch.
     Ray {
         /// Start.
         origin: Vec3,
@@ -23,10 +23,12 @@ pub enum Removal {
     },
 }
 
-/// A connected piece with more of the vertices than this is the scene, not a thing in it.
-const LARGEST_THING: f64 = 0.3;
+/// Share of a thing from which on a segment stands for all of it.
+const MOST_OF_IT: f64 = 0.5;
+/// Pieces that lose their hold with a segment go with it up to this share of its size.
+const CRUMBS: f64 = 0.1;
 /// Sweeps of the membrane over what is unknown.
-const SWEEPS: usize = 400;
+pub const SWEEPS: usize = 400;
 
 /// Vertices that share a triangle: `neighbours[offsets[v]..offsets[v + 1]]`, ascending.
 #[derive(Debug)]
@@ -75,7 +77,8 @@ impl Adjacency {
     }
 
     /// Everything connected to `start` through vertices that `may` be passed.
-    fn flood(&self, start: usize, may: impl Fn(usize) -> bool) -> Vec<bool> {
+    #[must_use]
+    pub fn flood(&self, start: usize, may: impl Fn(usize) -> bool) -> Vec<bool> {
         let mut inside = vec![false; self.offsets.len() - 1];
         let mut open = vec![start];
         inside[start] = true;
@@ -99,9 +102,20 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
     let n = mesh.positions.len();
     let adjacency = Adjacency::new(n, &mesh.triangles);
     let mut gone = vec![false; n];
+    let edge = scene.median_edge();
+    let count = |set: &[bool]| set.iter().filter(|x| **x).count();
     for removal in removals {
         let chosen: Vec<bool> = match removal {
-            Removal::Segment(id) => segment.iter().map(|s| s == id).collect(),
+            Removal::Segment(id) => {
+                let mut members: Vec<bool> = segment.iter().map(|s| s == id).collect();
+                if let Some(whole) = middle(mesh, &members).and_then(|seed| thing(mesh, &adjacency, edge, seed)) {
+                    let shared = (0..n).filter(|&v| whole[v] && members[v]).count();
+                    if shared as f64 >= MOST_OF_IT * count(&whole) as f64 {
+                        members.iter_mut().zip(grown(&whole, &adjacency)).for_each(|(m, w)| *m |= w);
+                    }
+                }
+                with_crumbs(members, &adjacency)
+            }
             Removal::Box(low, high) => {
                 mesh.positions.iter().map(|p| p.cmpge(*low).all() && p.cmple(*high).all()).collect()
             }
@@ -111,10 +125,11 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
                 })?;
                 let start = mesh.triangles[hit.triangle as usize][0] as usize;
                 let piece = adjacency.flood(start, |_| true);
-                if piece.iter().filter(|x| **x).count() as f64 <= LARGEST_THING * n as f64 {
+                if count(&piece) as f64 <= LARGEST_THING * n as f64 {
                     piece
                 } else {
-                    adjacency.flood(start, |v| segment[v] == segment[start])
+                    let patch = || with_crumbs(adjacency.flood(start, |v| segment[v] == segment[start]), &adjacency);
+                    thing(mesh, &adjacency, edge, start).map_or_else(patch, |whole| grown(&whole, &adjacency))
                 }
             }
         };
@@ -135,115 +150,28 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
     Ok(gone)
 }
 
-/// A mesh cut in two. Vertices of `kept` are those of the whole, in order, then the patches'; `removed` has its own.
-#[derive(Debug)]
-pub struct Cut {
-    /// What stays, holes closed.
-    pub kept: Mesh,
-    /// Vertices of `kept` from here on are patches over holes.
-    pub first_patch: usize,
-    /// What goes.
-    pub removed: Mesh,
-    /// Index in the whole mesh of each vertex of `removed`.
-    pub removed_from: Vec<u32>,
+/// The member nearest to the middle of all members.
+fn middle(mesh: &Mesh, members: &[bool]) -> Option<usize> {
+    let of = || (0..members.len()).filter(|&v| members[v]);
+    let middle = of().map(|v| mesh.positions[v]).sum::<Vec3>() / of().count().max(1) as f32;
+    of().min_by(|&a, &b| mesh.positions[a].distance(middle).total_cmp(&mesh.positions[b].distance(middle)))
 }
 
-/// Cuts the vertices `gone` away and closes the holes that this leaves, so that what stood on a surface does not take a
-/// piece of it along.
-#[must_use]
-pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
-    let goes = |t: &[u32; 3]| t.iter().any(|&i| gone[i as usize]);
-    let (away, stay): (Vec<[u32; 3]>, Vec<[u32; 3]>) = mesh.triangles.iter().partition(|t| goes(t));
-    let mut index = vec![u32::MAX; mesh.positions.len()];
-    let mut removed_from = Vec::new();
-    for &i in away.iter().flatten() {
-        if index[i as usize] == u32::MAX {
-            index[i as usize] = removed_from.len() as u32;
-            removed_from.push(i);
-        }
-    }
-    let removed = Mesh {
-        positions: removed_from.iter().map(|&i| mesh.positions[i as usize]).collect(),
-        normals: removed_from.iter().map(|&i| mesh.normals[i as usize]).collect(),
-        triangles: away.iter().map(|t| t.map(|i| index[i as usize])).collect(),
-    };
-    let mut kept = Mesh { positions: mesh.positions.clone(), normals: mesh.normals.clone(), triangles: stay };
-    let first_patch = kept.positions.len();
-    for ring in rings(&away, gone) {
-        close(&mut kept, &ring);
-    }
-    Cut { kept, first_patch, removed, removed_from }
-}
-
-/// Closed chains of edges between triangles that go and triangles that stay, in the direction of those that went.
-fn rings(away: &[[u32; 3]], gone: &[bool]) -> Vec<Vec<u32>> {
-    let mut edges = BTreeMap::new();
-    for &[a, b, c] in away {
-        for (x, y) in [(a, b), (b, c), (c, a)] {
-            if !gone[x as usize] && !gone[y as usize] {
-                edges.insert((x, y), ());
+/// With the small pieces that only the members held.
+fn with_crumbs(mut members: Vec<bool>, adjacency: &Adjacency) -> Vec<bool> {
+    let size = members.iter().filter(|m| **m).count();
+    let mut done = members.clone();
+    let rim: Vec<usize> =
+        (0..members.len()).filter(|&v| members[v]).flat_map(|v| adjacency.of(v)).map(|&v| v as usize).collect();
+    for v in rim {
+        if !done[v] {
+            let piece = adjacency.patch(v, &mut done);
+            if piece.len() as f64 <= CRUMBS * size as f64 {
+                piece.into_iter().for_each(|p| members[p] = true);
             }
         }
     }
-    // An edge between two triangles that both went is no border.
-    let border: BTreeMap<u32, u32> =
-        edges.keys().filter(|(x, y)| !edges.contains_key(&(*y, *x))).map(|&(x, y)| (x, y)).collect();
-    let mut used = std::collections::BTreeSet::new();
-    let mut rings = Vec::new();
-    for &start in border.keys() {
-        let mut ring = Vec::new();
-        let mut at = start;
-        while used.insert(at) {
-            ring.push(at);
-            match border.get(&at) {
-                Some(&next) => at = next,
-                None => break,
-            }
-        }
-        if ring.len() >= 3 && at == start {
-            rings.push(ring);
-        }
-    }
-    rings
-}
-
-/// Closes a ring with concentric rings that shrink to its middle, relaxed to a membrane.
-fn close(mesh: &mut Mesh, ring: &[u32]) {
-    let n = ring.len();
-    let points: Vec<Vec3> = ring.iter().map(|&i| mesh.positions[i as usize]).collect();
-    let middle = points.iter().sum::<Vec3>() / n as f32;
-    let edge = (0..n).map(|i| points[i].distance(points[(i + 1) % n])).sum::<f32>() / n as f32;
-    let radius = points.iter().map(|p| p.distance(middle)).sum::<f32>() / n as f32;
-    let levels = ((radius / edge.max(f32::MIN_POSITIVE)) as usize).clamp(1, 64);
-    let first = mesh.positions.len();
-    let mut outer: Vec<u32> = ring.to_vec();
-    for level in 1..levels {
-        let f = level as f32 / levels as f32;
-        let inner: Vec<u32> = (0..n).map(|i| (mesh.positions.len() + i) as u32).collect();
-        mesh.positions.extend(points.iter().map(|p| p.lerp(middle, f)));
-        for i in 0..n {
-            let j = (i + 1) % n;
-            mesh.triangles.extend([[outer[i], outer[j], inner[i]], [outer[j], inner[j], inner[i]]]);
-        }
-        outer = inner;
-    }
-    let tip = mesh.positions.len() as u32;
-    mesh.positions.push(middle);
-    mesh.triangles.extend((0..n).map(|i| [outer[i], outer[(i + 1) % n], tip]));
-    mesh.normals.resize(mesh.positions.len(), Vec3::Z);
-    let added = mesh.triangles.len() - (2 * n * (levels - 1) + n);
-    let adjacency = Adjacency::new(mesh.positions.len(), &mesh.triangles[added..]);
-    for _ in 0..SWEEPS {
-        for v in first..mesh.positions.len() {
-            let around = adjacency.of(v);
-            if !around.is_empty() {
-                mesh.positions[v] =
-                    around.iter().map(|&i| mesh.positions[i as usize]).sum::<Vec3>() / around.len() as f32;
-            }
-        }
-    }
-    let normals = vertex_normals(&mesh.positions, &mesh.triangles[added..]);
-    mesh.normals[first..].copy_from_slice(&normals[first..]);
+    members
 }
 
 /// Carries values over the vertices that are not `known`: first from the nearest known ones, then relaxed to a membrane
@@ -278,6 +206,8 @@ pub fn inpaint(values: &mut [Vec3], known: &[bool], adjacency: &Adjacency) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::hole::cut;
+    use super::super::object::vertex_normals;
     use super::*;
 
     /// A plane of n × n quads with a bump of segment 1 in its middle, one surface.
@@ -315,6 +245,47 @@ mod tests {
             assert!((hit.distance - 1.0).abs() < 1e-3, "{x} {y}: {}", hit.distance);
         }
         assert!(cut.kept.normals[cut.first_patch..].iter().all(|n| n.z > 0.99));
+    }
+
+    #[test]
+    fn a_thing_of_several_segments_goes_whole_and_its_support_stays() {
+        let (mesh, mut segment) = bumpy(40);
+        let part = |share: f32, segment: &mut [u32]| {
+            for (s, p) in segment.iter_mut().zip(&mesh.positions).filter(|(s, _)| **s > 0) {
+                *s = if p.x < share { 1 } else { 2 };
+            }
+        };
+        let scene = Scene::new(&mesh);
+        let check = |gone: &[bool]| {
+            for (gone, p) in gone.iter().zip(&mesh.positions) {
+                let inside = p.x.abs().max(p.y.abs());
+                assert!(if p.z > 0.1 { *gone } else { !*gone || inside < 0.31 }, "{p} {gone}");
+            }
+        };
+        part(0.0, &mut segment);
+        let down = Removal::Ray { origin: Vec3::new(0.1, 0.02, 2.0), direction: Vec3::NEG_Z };
+        check(&select(&mesh, &segment, &scene, &[down]).unwrap());
+        // One of two parts is not all of it; one that is most of it is.
+        let half = select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap();
+        assert!(half.iter().zip(&segment).all(|(g, s)| *g == (*s == 1)));
+        part(0.12, &mut segment);
+        check(&select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap());
+    }
+
+    #[test]
+    fn a_support_that_was_open_at_the_contact_is_closed() {
+        let (mut mesh, segment) = bumpy(20);
+        // One wall of the bump was never seen.
+        mesh.triangles.retain(|t| {
+            let wall = t.iter().any(|&i| segment[i as usize] == 1) && t.iter().any(|&i| segment[i as usize] == 0);
+            !(wall && t.iter().any(|&i| mesh.positions[i as usize].x < -0.16))
+        });
+        let gone: Vec<bool> = segment.iter().map(|s| *s == 1).collect();
+        let closed = Scene::new(&cut(&mesh, &gone).kept);
+        for (x, y) in [(0.0, 0.0), (-0.18, 0.1), (0.17, -0.17)] {
+            let hit = closed.closest_hit(Vec3::new(x, y, 1.0), Vec3::NEG_Z).expect("closed");
+            assert!((hit.distance - 1.0).abs() < 1e-3, "{x} {y}: {}", hit.distance);
+        }
     }
 
     #[test]

@@ -17,6 +17,8 @@ const CLIPPED: u8 = 252;
 const CONTINUED_FROM: usize = 400;
 /// How fast their influence falls off: to 1/e at 18°.
 const CONTINUED_SHARPNESS: f32 = 20.0;
+/// Sum of their influence (1 = all around was seen) from which on they say half of what is likely.
+const NEAR: f32 = 0.01;
 /// Keyframes that differ by this share about a direction saw something near, not the surroundings.
 const SPREAD: f32 = 0.3;
 
@@ -29,6 +31,10 @@ pub struct Known {
     pub trust: f32,
     /// True if the picture was clipped there: the radiance is a lower bound.
     pub clipped: bool,
+    /// What the directions around that were seen let expect here.
+    pub likely: Vec3,
+    /// How near those are, 0..1; 0 = nothing was seen.
+    pub near: f32,
 }
 
 /// Camera ray through a pixel, in the world: unit direction.
@@ -52,7 +58,9 @@ impl Backdrop {
     #[must_use]
     pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[Known]) -> Self {
         let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
-        Self { views, table: estimate.response.linear_table().to_vec(), continued: continued(known) }
+        let likely = || Environment::from_texels(known.iter().map(|k| k.likely).collect());
+        let continued = known.iter().any(|k| k.near > 0.0).then(likely);
+        Self { views, table: estimate.response.linear_table().to_vec(), continued }
     }
 
     /// Radiance from beyond the scan in a unit direction: the middle of what the keyframes saw there past every surface
@@ -101,25 +109,29 @@ impl Backdrop {
     }
 }
 
-/// What was seen, continued smoothly into all directions.
-fn continued(known: &[Known]) -> Option<Environment> {
+/// Continues what was seen smoothly into all directions.
+fn carry_on(known: &mut [Known]) {
     let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].trust > 0.5).collect();
-    let few: Vec<(Vec3, Vec3)> = seen
-        .iter()
-        .step_by(seen.len().div_ceil(CONTINUED_FROM).max(1))
-        .map(|&i| (super::environment::direction(i), known[i].radiance))
-        .collect();
-    (!few.is_empty()).then(|| {
-        Environment::from_fn(|d| {
-            // Far from everything seen all weights are small, and alike.
-            let weighted = few.iter().map(|(at, r)| {
-                let w = 1e-6 + libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
-                (*r * w, w)
-            });
-            let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
-            sum / weight
-        })
-    })
+    let step = seen.len().div_ceil(CONTINUED_FROM).max(1);
+    let few: Vec<(Vec3, Vec3)> =
+        seen.iter().step_by(step).map(|&i| (super::environment::direction(i), known[i].radiance)).collect();
+    if few.is_empty() {
+        return;
+    }
+    // Each stands for `step` texels; the influence of a whole sphere of them is 2π / sharpness.
+    let all = CONTINUED_SHARPNESS * 2.0 * step as f32 / (SIDE * SIDE) as f32;
+    known.par_iter_mut().enumerate().for_each(|(i, k)| {
+        let d = super::environment::direction(i);
+        // Far from everything seen all weights are small, and alike.
+        let weighted = few.iter().map(|(at, r)| {
+            let w = libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
+            (*r * (1e-6 + w), w)
+        });
+        let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
+        k.likely = sum / (1e-6 * few.len() as f32 + weight);
+        let influence = all * weight;
+        k.near = influence / (influence + NEAR);
+    });
 }
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
@@ -136,7 +148,9 @@ pub fn surroundings(estimate: &Estimate, scene: &Scene, pictures: &[Option<RgbIm
     for (i, radiance, clipped) in views.into_iter().flatten() {
         samples[i].push((radiance, clipped));
     }
-    samples.par_iter().map(|s| agree(s)).collect()
+    let mut known: Vec<Known> = samples.par_iter().map(|s| agree(s)).collect();
+    carry_on(&mut known);
+    known
 }
 
 /// The light with what was seen of the surroundings in place of what was inferred of them.
@@ -194,5 +208,5 @@ fn agree(samples: &[(Vec3, bool)]) -> Known {
     let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum()).collect());
     let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
     let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
-    Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped }
+    Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped, ..Known::default() }
 }
