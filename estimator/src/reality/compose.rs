@@ -18,6 +18,8 @@ use std::f32::consts::TAU;
 
 /// Ratios nearer to 1 than this leave an 8-bit value as it is.
 const NO_CHANGE: f32 = 1e-3;
+/// Changes of light below this share are believed less and less: so much do lamps that were not seen err in their place.
+const BELIEVED: f32 = 0.03;
 /// Where light grows by these factors, the photo (mostly noise, contact and blur there) fades to the model.
 const DEEP: [f32; 2] = [1.5, 2.2];
 /// Half width in pixels of the filter over the change of light, which varies slowly along a surface.
@@ -282,10 +284,16 @@ fn lighting(
                     }
                 }
             }
-            (raw[i].0.filter(|_| wr > 0.0).map(|_| r / wr), if we > 0.0 { e / we } else { raw[i].1 })
+            (raw[i].0.filter(|_| wr > 0.0).map(|_| believed(r / wr)), if we > 0.0 { e / we } else { raw[i].1 })
         })
         .collect();
     Lighting { ratio: filtered.iter().map(|f| f.0).collect(), irradiance: filtered.iter().map(|f| f.1).collect() }
+}
+
+/// A ratio of light, small changes drawn towards none.
+fn believed(ratio: Vec3) -> Vec3 {
+    let d = ratio - 1.0;
+    d * d * d / (d * d + BELIEVED * BELIEVED) + 1.0
 }
 
 /// Inserted things in a pixel: their radiance times the share of the pixel they cover, and that share.

@@ -79,7 +79,9 @@ const objectVertex = `#version 300 es
     gl_Position = camera * vec4(p, 1.0);
     // Eq. (8) in the open: the cosine's factors of the bands.
     vec3 soft[16]; for (int k = 0; k < 16; k++) soft[k] = light[k] * (k == 0 ? 1.0 : k < 4 ? 0.666667 : k < 9 ? 0.25 : 0.0);
-    vec3 c = look.rgb * mix(max(along(soft, n), vec3(0.0)), max(along(light, reflect(normalize(p - eye), n)), vec3(0.0)), look.a);
+    // What a mirror shows, under a Hann window: few harmonics ring.
+    vec3 seen[16]; for (int k = 0; k < 16; k++) seen[k] = light[k] * (k == 0 ? 1.0 : k < 4 ? 0.904508 : k < 9 ? 0.654508 : 0.345492);
+    vec3 c = look.rgb * mix(max(along(soft, n), vec3(0.0)), max(along(seen, reflect(normalize(p - eye), n)), vec3(0.0)), look.a);
     c = clamp(c * shown * gain, 0.0, 1.0);
     color = mix(c * 12.92, 1.055 * pow(max(c, vec3(1e-6)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
   }`;
