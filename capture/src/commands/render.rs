@@ -9,6 +9,7 @@ use clap::{Args, ValueEnum};
 use estimator::reality::RealityError;
 use estimator::reality::change::{Changed, change};
 use estimator::reality::compose::{Viewpoint, compose, model};
+use estimator::reality::hole::cut;
 use estimator::reality::infer::infer;
 use estimator::reality::insert::{Insert, give_material, load as load_object};
 use estimator::reality::object::Object;
@@ -21,7 +22,7 @@ use firmware_config::RealityConfig;
 use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
-use recordings::types::RgbImage;
+use recordings::types::{Mesh, RgbImage};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -160,8 +161,8 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
         return Err(Failure::Usage("the view looks away from the scan: nothing of it would be in the picture".into()));
     }
     let first = &views[0].viewpoint;
-    let objects = objects(args, &estimate, &scene, first)?;
     let gone = gone(args, &estimate, &scene, first)?;
+    let objects = objects(args, &estimate, &cut(&estimate.mesh, &gone).kept, first)?;
     reporter.step(&step("light", 0.0, String::new()));
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
@@ -234,10 +235,12 @@ fn picture_of(scan: Option<&Scan>, name: &str) -> Option<RgbImage> {
     scan?.keyframes.iter().find(|k| k.name == name)?.color.decode().ok()
 }
 
-fn objects(args: &Render, estimate: &Estimate, scene: &Scene, view: &Viewpoint) -> Result<Vec<Object>, Failure> {
+/// What is inserted, in its place on `mesh`: what stays of the scan.
+fn objects(args: &Render, estimate: &Estimate, mesh: &Mesh, view: &Viewpoint) -> Result<Vec<Object>, Failure> {
     let mut objects = Vec::new();
+    let scene = Scene::new(mesh);
     for insert in &args.insert {
-        let (mut object, odd) = load_object(insert, view, estimate, scene)?;
+        let (mut object, odd) = load_object(insert, view, mesh, &scene)?;
         for o in odd {
             tracing::warn!("{o}");
         }

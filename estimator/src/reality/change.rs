@@ -20,7 +20,7 @@ pub const SMALLEST_REACH: f32 = 1e-3;
 /// Share of irradiance from which on a change is followed with all rays; the error of a smaller one shrinks with it.
 const FULL_REACH: f32 = 0.1;
 /// No fewer rays than this share.
-const FEWEST_RAYS: f32 = 0.2;
+const FEWEST_RAYS: f32 = 0.4;
 /// A surface that gets less than this share of the light it would get in the open is not asked for its colour.
 const DARK: f32 = 0.1;
 /// Rounds of averaging over neighbours of the level between albedo × light and what was seen.
@@ -222,7 +222,8 @@ fn light(
 #[must_use]
 pub fn rays(reach: f32, most: u32) -> u32 {
     let share = reach / FULL_REACH;
-    (most as f32 * (share * share).clamp(FEWEST_RAYS, 1.0)).ceil() as u32
+    // Whole fours: rays take turns in how they are drawn.
+    ((most as f32 * (share * share).clamp(FEWEST_RAYS, 1.0)) as u32).next_multiple_of(4)
 }
 
 /// Averages `values` over neighbours that are `known`, again and again.

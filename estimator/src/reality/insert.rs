@@ -7,6 +7,7 @@ use super::{RealityError, Result, gltf, ply};
 use crate::scene::Scene;
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
+use recordings::types::Mesh;
 use std::path::{Path, PathBuf};
 
 /// Largest object file, in bytes.
@@ -65,11 +66,11 @@ impl std::str::FromStr for Insert {
     }
 }
 
-/// Reads an object and puts it in its place; says what is odd about that place.
+/// Reads an object and puts it in its place on a `mesh`, whose rays `scene` follows; says what is odd about that place.
 ///
 /// # Errors
 /// The file cannot be used, or no place is found for it.
-pub fn load(insert: &Insert, view: &Viewpoint, estimate: &Estimate, scene: &Scene) -> Result<(Object, Vec<String>)> {
+pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &Scene) -> Result<(Object, Vec<String>)> {
     let path = &insert.path;
     let is_scan = path.extension().is_some_and(|e| e == "lres");
     let mut object = if is_scan { part_of(path, &insert.segments)? } else { from_file(path)? };
@@ -87,7 +88,7 @@ pub fn load(insert: &Insert, view: &Viewpoint, estimate: &Estimate, scene: &Scen
         })?,
     };
     object.place(position, insert.yaw_deg.to_radians(), insert.scale);
-    let odd = oddities(&object, estimate, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
+    let odd = oddities(&object, mesh, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
     Ok((object, odd))
 }
 
@@ -99,9 +100,9 @@ fn middle(view: &Viewpoint, scene: &Scene) -> Option<Vec3> {
     scene.closest_hit(eye, d).map(|hit| eye + d * hit.distance)
 }
 
-fn oddities(object: &Object, estimate: &Estimate, scene: &Scene) -> Vec<String> {
+fn oddities(object: &Object, mesh: &Mesh, scene: &Scene) -> Vec<String> {
     let (low, high) = object.bounds();
-    let p = &estimate.mesh.positions;
+    let p = &mesh.positions;
     let (from, to) = p.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
     let mut odd = Vec::new();
     if low.cmpgt(to).any() || high.cmplt(from).any() {
@@ -110,8 +111,8 @@ fn oddities(object: &Object, estimate: &Estimate, scene: &Scene) -> Vec<String> 
     }
     let middle = (low + high) / 2.0;
     if let Some(hit) = scene.closest_hit(middle, Vec3::Z) {
-        let t = estimate.mesh.triangles[hit.triangle as usize];
-        let up: f32 = t.iter().map(|&i| estimate.mesh.normals[i as usize].z).sum();
+        let t = mesh.triangles[hit.triangle as usize];
+        let up: f32 = t.iter().map(|&i| mesh.normals[i as usize].z).sum();
         if up > 1.5 && middle.z + hit.distance > high.z {
             odd.push("stands under a surface of the scan".into());
         }

@@ -257,15 +257,13 @@ impl World {
     pub fn change(&self, spot: &Spot, samples: u32, seed: u32) -> Vec3 {
         let cones: Vec<Option<Cone>> =
             self.changes.iter().map(|b| Cone::towards(spot.origin, b.center, b.radius)).collect();
-        // One share in four follows the light: lamps behind the change are small.
-        let share = 0.75 / cones.len().max(1) as f32;
+        // Every other ray follows the light: lamps behind the change are small.
+        let share = 0.5 / cones.len().max(1) as f32;
         let mut sum = Vec3::ZERO;
         for i in 0..samples {
-            let strategy = i & 3;
-            let which = (i / 4 * 3 + strategy) as usize % cones.len().max(1);
-            let u = point(i, seed);
-            let d = match cones.get(which) {
-                _ if strategy == 3 => self.environment.sample(u),
+            let u = point(i / 2, seed ^ (i & 1));
+            let d = match cones.get((i / 2) as usize % cones.len().max(1)) {
+                _ if i & 1 == 1 => self.environment.sample(u),
                 Some(Some(cone)) => cone.sample(u),
                 _ => cosine(spot.normal, u),
             };
@@ -299,7 +297,7 @@ impl World {
             };
             let difference =
                 arriving(Side::After, after).unwrap_or_default() - arriving(Side::Before, before).unwrap_or_default();
-            let mut density = 0.25 * self.environment.density(d);
+            let mut density = 0.5 * self.environment.density(d);
             for cone in &cones {
                 density += share * cone.as_ref().map_or_else(|| cosine_density(cos), |c| c.density(d));
             }
