@@ -125,6 +125,37 @@ pub struct Setting<'a> {
     pub clipped: u8,
 }
 
+impl<'a> Setting<'a> {
+    /// For pictures of this response on this mesh.
+    #[must_use]
+    pub fn new(mesh: &'a Mesh, graph: &'a Graph, scene: &Scene, response: &Response, config: &EstimatorConfig) -> Self {
+        let edge = scene.median_edge();
+        Self {
+            mesh,
+            graph,
+            spacing: vertex_spacing(mesh, graph, edge),
+            triangle_normals: triangle_normals(mesh),
+            near: f64::from(edge) * 0.1,
+            table: linear_table(response),
+            clipped: config.clipped_from.min(255) as u8,
+        }
+    }
+
+    /// What one picture alone says of every vertex, and how much it is to be trusted; 0 = not seen.
+    #[must_use]
+    pub fn colors_of(&self, picture: &Picture, pose: &Pose, config: &EstimatorConfig) -> (Vec<Vec3>, Vec<f32>) {
+        let last = Rules::new(config, 1.0);
+        let seen = observe(self, picture, pose, 0, &last, Some(last.last_resort()));
+        let mut colors = vec![Vec3::ZERO; self.mesh.positions.len()];
+        let mut weights = vec![0.0; colors.len()];
+        for o in seen.poor.iter().chain(&seen.good) {
+            colors[o.vertex as usize] = Vec3::from_array(o.color);
+            weights[o.vertex as usize] = o.weight;
+        }
+        (colors, weights)
+    }
+}
+
 /// Which observations are eligible; relaxed from round to round.
 #[derive(Debug, Clone, Copy)]
 struct Rules {
@@ -197,15 +228,7 @@ pub fn associate_within(
 ) -> Association {
     let graph = Graph::new(mesh);
     let edge = scene.median_edge();
-    let setting = Setting {
-        mesh,
-        graph: &graph,
-        spacing: vertex_spacing(mesh, &graph, edge),
-        triangle_normals: triangle_normals(mesh),
-        near: f64::from(edge) * 0.1,
-        table: linear_table(response),
-        clipped: config.clipped_from.min(255) as u8,
-    };
+    let setting = Setting::new(mesh, &graph, scene, response, config);
     let pictures: Vec<Option<Picture>> = keyframes
         .par_iter()
         .enumerate()

@@ -26,7 +26,7 @@ const PER_OBSERVATION: f64 = 5.0e-7;
 /// Times that lit colours are cleaned and factorised anew.
 const PASSES: f64 = 3.0;
 /// One witness frame, per pixel.
-const PER_WITNESS_PIXEL: f64 = 3.0e-7;
+const PER_WITNESS_PIXEL: f64 = 3.0e-6;
 /// The result on disk, per vertex.
 const PER_VERTEX_WRITTEN: f64 = 5.0e-6;
 /// Bounces that are made where nobody limits them.

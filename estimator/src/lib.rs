@@ -124,7 +124,7 @@ pub fn estimate_on(
     let mut warnings = std::mem::take(&mut ready.warnings);
     warnings.extend(near);
     progress.stage("witnesses", 0.0);
-    let witnesses = stages::witnesses(&ready, scan, &found, &gloss, &lit_with_gloss, &mut plan);
+    let witnesses = stages::witnesses(&mut ready, scan, &found, &gloss, &lit_with_gloss, config, &mut plan);
     ready.decisions.push(stages::transfer_decision(&found, config));
     if scan.keyframes.len() < 2 {
         warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());

@@ -91,21 +91,24 @@ impl Picture {
     }
 }
 
+/// Where the lens puts a pixel of the ideal pinhole camera; `None` where that is outside the picture.
+pub fn distorted(camera: &CameraModel, x: usize, y: usize) -> Option<(f64, f64)> {
+    let (k, d) = (camera.intrinsics, camera.distortion);
+    let (a, b) = ((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy);
+    let r2 = a * a + b * b;
+    let radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3));
+    let u = k.fx * (a * radial + 2.0 * d.p1 * a * b + d.p2 * (r2 + 2.0 * a * a)) + k.cx;
+    let v = k.fy * (b * radial + d.p1 * (r2 + 2.0 * b * b) + 2.0 * d.p2 * a * b) + k.cy;
+    let (width, height) = (f64::from(k.width), f64::from(k.height));
+    (u >= 0.0 && v >= 0.0 && u < width - 1.0 && v < height - 1.0).then_some((u, v))
+}
+
 fn undistort(source: &[u8], camera: &CameraModel) -> Vec<u8> {
-    let k = camera.intrinsics;
-    let d = camera.distortion;
-    let (w, h) = (k.width as usize, k.height as usize);
+    let (w, h) = (camera.intrinsics.width as usize, camera.intrinsics.height as usize);
     let mut out = vec![255; source.len()];
     for y in 0..h {
         for x in 0..w {
-            let (a, b) = ((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy);
-            let r2 = a * a + b * b;
-            let radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3));
-            let u = k.fx * (a * radial + 2.0 * d.p1 * a * b + d.p2 * (r2 + 2.0 * a * a)) + k.cx;
-            let v = k.fy * (b * radial + d.p1 * (r2 + 2.0 * b * b) + 2.0 * d.p2 * a * b) + k.cy;
-            if !(u >= 0.0 && v >= 0.0 && u < (w - 1) as f64 && v < (h - 1) as f64) {
-                continue;
-            }
+            let Some((u, v)) = distorted(camera, x, y) else { continue };
             let (x0, y0) = (u as usize, v as usize);
             let (fu, fv) = (u - x0 as f64, v - y0 as f64);
             for c in 0..3 {

@@ -70,7 +70,7 @@ impl Tracker {
             1 => &[0.5, 1.0],
             _ => &[1.0],
         };
-        let filled = fill(setting, lit);
+        let filled = fill(setting, &lit.color, &lit.weight);
         let outcomes: Vec<Option<Outcome>> = (0..views.len())
             .into_par_iter()
             .map(|j| {
@@ -134,10 +134,23 @@ impl Tracker {
     }
 }
 
+/// The pose from which a picture that had no part in these lit colours shows them best, starting at the view's.
+#[must_use]
+pub fn located(setting: &Setting, picture: &Picture, color: &[Vec3], weight: &[f32], view: &View) -> Pose {
+    let colors = fill(setting, color, weight);
+    let mut found = *view;
+    let mut moved = Vector6::zeros();
+    for level in [0.25, 0.5, 1.0, 1.0] {
+        if let Some(o) = align(setting, picture, &colors, &found, &moved, level) {
+            (found.world_from_camera, moved) = (o.pose, o.moved);
+        }
+    }
+    found.world_from_camera
+}
+
 /// Lit colours with the vertices around the seen ones filled in; NaN where nothing is near.
-fn fill(setting: &Setting, lit: &LitColors) -> Vec<Vec3> {
-    let mut colors: Vec<Vec3> =
-        lit.color.iter().zip(&lit.weight).map(|(&c, &w)| if w > 0.0 { c } else { Vec3::NAN }).collect();
+fn fill(setting: &Setting, color: &[Vec3], weight: &[f32]) -> Vec<Vec3> {
+    let mut colors: Vec<Vec3> = color.iter().zip(weight).map(|(&c, &w)| if w > 0.0 { c } else { Vec3::NAN }).collect();
     let mut open: Vec<u32> = (0..colors.len() as u32).filter(|&i| colors[i as usize].is_nan()).collect();
     for _ in 0..FILL_RINGS {
         let news: Vec<(u32, Vec3)> = open

@@ -1,9 +1,10 @@
 //! The stages of an estimate, each on its own: `estimate()` runs them once, the trade runs some of them many times.
 
 use crate::albedo::Detail;
-use crate::association::{self, Association, Effort};
+use crate::association::{self, Association, Effort, Setting};
 use crate::cost::Size;
 use crate::factorise::{Colors, Factorised, Settings};
+use crate::graph::Graph;
 use crate::inverse::Solution;
 use crate::plan::Plan;
 use crate::scene::Scene;
@@ -199,11 +200,12 @@ pub fn settle(
 
 /// Frames that no step used, as far as there is time.
 pub fn witnesses(
-    ready: &Ready,
+    ready: &mut Ready,
     scan: &Scan,
     found: &Factorised,
     gloss: &[Gloss],
     lit_with_gloss: &[Vec3],
+    config: &EstimatorConfig,
     plan: &mut Plan,
 ) -> Vec<WitnessError> {
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
@@ -215,15 +217,18 @@ pub fn witnesses(
         segment: &ready.segment,
         gloss,
     };
+    let graph = Graph::new(&ready.mesh);
+    let setting = Setting::new(&ready.mesh, &graph, &ready.scene, &scan.sensor.response, config);
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {
         if !plan.witness() {
             plan.cuts.push(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
             break;
         }
-        compared.extend(witness::compare(&model, frame, &scan.sensor.response));
+        compared.extend(witness::compare(&model, &setting, frame, config));
     }
-    compared
+    ready.decisions.extend(witness::decision(&compared, config));
+    compared.into_iter().map(|c| c.error).collect()
 }
 
 /// Keyframes as they are left.

@@ -140,7 +140,7 @@ impl Surface {
             (false, true) => pb,
             _ => 0.5 * (pa + pb),
         };
-        if on_a && on_b && !(self.border_is_straight(a, b) && self.border_is_straight(b, a)) {
+        if on_a && on_b && !(self.border_is_straight(a, b, longest) && self.border_is_straight(b, a, longest)) {
             return false;
         }
         let far = |n: &[u32]| n.iter().any(|&k| self.positions[k as usize].distance(target) > longest);
@@ -296,13 +296,14 @@ impl Surface {
             || corners.chunks(2).collect::<Vec<_>>().windows(2).any(|w| w[0][0] == w[1][0])
     }
 
-    /// Removing `b` from the border that runs on from `a` cuts no corner.
-    fn border_is_straight(&self, a: u32, b: u32) -> bool {
+    /// Removing `b` from the border that runs on from `a` cuts no corner worth a quarter of the `longest` edge.
+    fn border_is_straight(&self, a: u32, b: u32, longest: f32) -> bool {
         let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
         let next = self.neighbours(b).into_iter().find(|&n| n != a && self.shared(b, n).len() == 1);
         next.is_some_and(|n| {
             let pn = self.positions[n as usize];
-            (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > 0.8
+            let across = (pb - pa).reject_from((pn - pa).try_normalize().unwrap_or(Vec3::X));
+            across.length() < 0.25 * longest || (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > 0.8
         })
     }
 }

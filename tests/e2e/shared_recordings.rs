@@ -5,7 +5,11 @@
 mod common;
 
 use common::{arg, json, ok, shared};
+use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
+use recordings::result::Estimate;
+use recordings::scan::Scan;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Replays a recording with the given options; the published folder and its manifest.
 fn replay(source: &Path, device: &Path, extra: &[&str]) -> (PathBuf, serde_json::Value) {
@@ -34,6 +38,33 @@ fn a_desk_stays_tracked_and_within_memory() {
     assert!(folder.join("preview.png").exists());
     let result = json(&["inspect", &arg(folder.join("result.lres")), "--json"]);
     assert!(result["vertices"].as_u64().unwrap() > 10_000, "{}", result["vertices"]);
+    assert!(result["vertices"].as_u64().unwrap() < 84_000, "no more than the 80 000 asked for: {}", result["vertices"]);
+    witnesses_gain_by_corrections(&folder);
+}
+
+/// Frames that no step used are predicted better than with exposure and pose correction off.
+fn witnesses_gain_by_corrections(folder: &Path) {
+    struct Silent;
+    impl estimator::Progress for Silent {
+        fn stage(&self, _: &'static str, _: f64) {}
+    }
+    let with = Estimate::read(&folder.join("result.lres")).unwrap();
+    let scan = Scan::read(&folder.join("scan.lscan")).unwrap();
+    let config = EstimatorConfig {
+        exposure: ExposureChoice::None,
+        refine_poses: Switch::Off,
+        specular: Switch::Off,
+        rays: 16,
+        bands: 3,
+        ..EstimatorConfig::default()
+    };
+    let options = estimator::Options { budget: Duration::from_secs(3600), rounds: Some(1) };
+    let without = estimator::estimate(&scan, &config, &options, &Silent).unwrap();
+    assert_eq!(with.witnesses.len(), 3);
+    for (a, b) in with.witnesses.iter().zip(&without.witnesses) {
+        println!("{}: {:.1} dB, {:.1} dB without corrections", a.name, a.lit_psnr_db, b.lit_psnr_db);
+        assert!(a.lit_psnr_db > b.lit_psnr_db + 1.0, "{}: {} dB, {} dB", a.name, a.lit_psnr_db, b.lit_psnr_db);
+    }
 }
 
 #[test]

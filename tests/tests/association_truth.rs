@@ -5,12 +5,14 @@
 
 use estimator::association::{Association, associate};
 use estimator::scene::Scene;
-use estimator::{Progress, remesh, segmentation};
-use firmware_config::EstimatorConfig;
+use estimator::{Options, Progress, estimate, remesh, segmentation};
+use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
+use glam::Vec3;
 use recordings::photos::import_photos;
 use recordings::scan::Scan;
 use recordings::types::Pose;
 use std::path::Path;
+use std::time::Duration;
 use tests::metrics::{adjusted_rand_index, median};
 use tests::truth::{Truth, json};
 
@@ -105,6 +107,64 @@ fn check(name: &str) {
     assert!(pose <= 0.3, "poses are off by {pose} px");
     assert!(ari >= 0.9, "ARI {ari}");
     assert!(covered >= 0.95, "{covered} of the vertices that two keyframes see have a colour");
+}
+
+/// How much of the true steps of colour between neighbours is left in colours of any exposure, over the steepest
+/// twentieth of the steps: 1 = all, 0 = a blur.
+fn sharpness(truth: &Truth, color: &[Vec3], weight: &[f32]) -> f64 {
+    let level = |c: Vec3| libm::log(f64::from(c.element_sum()).max(1e-3));
+    let real = |i: u32| level(Vec3::from_array(truth.lit_color[i as usize].map(|x| x as f32)));
+    let sides = truth.mesh.triangles.iter().flat_map(|t| [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])]);
+    let known = |i: u32| weight[i as usize] > 0.0 && truth.seen[i as usize] >= 2;
+    let mut steps: Vec<[f64; 2]> = sides
+        .filter(|&(a, b)| known(a) && known(b))
+        .map(|(a, b)| [real(b) - real(a), level(color[b as usize]) - level(color[a as usize])])
+        .collect();
+    steps.sort_by(|a, b| b[0].abs().total_cmp(&a[0].abs()));
+    let steep = &steps[..steps.len() / 20];
+    steep.iter().map(|s| s[0] * s[1]).sum::<f64>() / steep.iter().map(|s| s[0] * s[0]).sum::<f64>()
+}
+
+/// The paper's Fig. 3: colours fused as they come, frame by frame from the given poses, are a blur beside what
+/// association makes of the same pictures.
+#[test]
+fn associated_colours_are_sharper_than_fused_ones() {
+    let Some(shared) = tests::shared() else { return };
+    let outcome = run(&shared, "bunny");
+    let sharp = sharpness(&outcome.truth, &outcome.association.lit_color, &outcome.association.lit_weight);
+    let config = EstimatorConfig { refine_poses: Switch::Off, exposure: ExposureChoice::None, ..Default::default() };
+    let scene = Scene::new(&outcome.truth.mesh);
+    let (keyframes, response) = (&outcome.scan.keyframes, &outcome.scan.sensor.response);
+    let given = associate(&outcome.truth.mesh, &scene, keyframes, response, &config, &Silent);
+    let mut fused = vec![(Vec3::ZERO, 0.0); outcome.truth.mesh.positions.len()];
+    for o in &given.observations {
+        let (sum, weight) = &mut fused[o.vertex as usize];
+        *sum += o.weight * Vec3::from_array(o.color);
+        *weight += o.weight;
+    }
+    let (colors, weights): (Vec<Vec3>, Vec<f32>) = fused.into_iter().map(|(s, w)| (s / f32::max(w, 1e-9), w)).unzip();
+    let blurred = sharpness(&outcome.truth, &colors, &weights);
+    println!("share of the true steps of colour: associated {sharp:.3}, fused {blurred:.3}");
+    assert!(sharp > 1.2 * blurred, "associated {sharp}, fused {blurred}");
+}
+
+/// A frame that no step used is predicted from the pose its picture tells, and better so than without corrections.
+#[test]
+fn a_witness_is_predicted_better_with_exposure_and_pose() {
+    let Some(shared) = tests::shared() else { return };
+    let mut scan = import_photos(&shared.join("truth/ball"), None).expect("a scan");
+    scan.witnesses = vec![scan.keyframes.remove(5)];
+    let predicted = |refine_poses, exposure| {
+        let config = EstimatorConfig { refine_poses, exposure, rays: 32, bands: 3, ..Default::default() };
+        let options = Options { budget: Duration::from_secs(3600), rounds: None };
+        let result = estimate(&scan, &config, &options, &Silent).expect("a result");
+        assert!(result.decisions.iter().any(|d| d.name == "witnesses"), "what limits them is said");
+        (result.witnesses[0].lit_psnr_db, result.witnesses[0].model_psnr_db)
+    };
+    let with = predicted(Switch::Auto, ExposureChoice::Auto);
+    let without = predicted(Switch::Off, ExposureChoice::None);
+    println!("lit colours and model: {with:.1?} dB, {without:.1?} dB without corrections");
+    assert!(with.0 > without.0 + 3.0 && with.1 > without.1 + 1.0, "{with:?} dB, {without:?} dB without corrections");
 }
 
 #[test]
