@@ -5,6 +5,7 @@
 
 #![allow(clippy::expect_used)]
 
+#[expect(dead_code, reason = "how much memory rays take is no matter here")]
 mod usage;
 
 use estimator::random::CosineDirections;

@@ -22,9 +22,10 @@ const TO_COUNT: f32 = 1.5;
 const WELD: f32 = 1e-3;
 /// A mesh with a smaller share of edges outside [0.5, 1.5] of the target is regular already.
 const IRREGULAR_SHARE: f32 = 0.02;
-/// A mesh of more than twice this many times the vertices that are asked for is brought to this many first, in far less
-/// time and memory.
-const FINE: f64 = 2.0;
+/// A mesh of more than so many times the vertices that are asked for is clustered first, in far less time and memory, ...
+const FAR_FINER: f64 = 6.0;
+/// ... to so many times the vertices: clusters may tear a closed surface, so that the rest is done edge by edge.
+const CLUSTERED: f64 = 2.0;
 /// The mesh grows to at most this many times its vertices.
 const GROWTH: usize = 4;
 
@@ -44,8 +45,12 @@ pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> 
     let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
     let affordable = edge_for(area(&clean), config.max_vertices);
     let target = (config.regularise as f32 * median(edge_lengths(&clean))).max(affordable);
-    let fine = FINE * vertices_for(area(&clean), target);
-    let clean = if clean.positions.len() as f64 > 2.0 * fine { coarsened(&clean, fine as usize) } else { clean };
+    let wanted = vertices_for(area(&clean), target);
+    let clean = if clean.positions.len() as f64 > FAR_FINER * wanted {
+        coarsened(&clean, (CLUSTERED * wanted) as usize)
+    } else {
+        clean
+    };
     if clean.triangles.is_empty() || !(target > 0.0 && target.is_finite()) {
         return repaired(mesh);
     }
