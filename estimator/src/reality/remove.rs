@@ -1,6 +1,6 @@
 //! Taking things out: which part of the mesh goes, and what its neighbourhood continues into its place.
 
-use super::thing::{LARGEST_THING, grown, thing};
+use super::thing::{grown, thing};
 use super::{RealityError, Result};
 use crate::scene::Scene;
 use glam::Vec3;
@@ -23,6 +23,8 @@ pub enum Removal {
     },
 }
 
+/// A connected piece with more of the vertices than this is the scene, not a thing in it.
+const LARGEST_PIECE: f64 = 0.3;
 /// Share of a thing from which on a segment stands for all of it.
 const MOST_OF_IT: f64 = 0.5;
 /// Pieces that lose their hold with a segment go with it up to this share of its size.
@@ -125,7 +127,7 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
                 })?;
                 let start = mesh.triangles[hit.triangle as usize][0] as usize;
                 let piece = adjacency.flood(start, |_| true);
-                if count(&piece) as f64 <= LARGEST_THING * n as f64 {
+                if count(&piece) as f64 <= LARGEST_PIECE * n as f64 {
                     piece
                 } else {
                     let patch = || with_crumbs(adjacency.flood(start, |v| segment[v] == segment[start]), &adjacency);

@@ -16,8 +16,8 @@ const SAME_NORMAL: f32 = 0.9;
 const SAME_PLANE: f32 = 0.98;
 /// Share of a thing's border that lies on its support: a plane that cuts it in two is none.
 const STANDS: f32 = 0.7;
-/// A larger share of the vertices is the scene, not a thing in it.
-pub const LARGEST_THING: f64 = 0.3;
+/// A larger share of the vertices is the scene, not a thing on its support.
+const LARGEST: f64 = 0.75;
 
 /// A plane; its unit normal points to what stands on it.
 #[derive(Debug, Clone, Copy)]
@@ -76,7 +76,7 @@ fn standing_on(mesh: &Mesh, adjacency: &Adjacency, plane: &Plane, thickness: f32
     let above = |v: usize| plane.height(mesh.positions[v]) > -thickness && !lies_on(mesh, plane, v, thickness);
     let inside = above(seed).then(|| adjacency.flood(seed, above))?;
     let count = inside.iter().filter(|x| **x).count();
-    if count as f64 > LARGEST_THING * inside.len() as f64 {
+    if count as f64 > LARGEST * inside.len() as f64 {
         return None;
     }
     let mut border: Vec<u32> =
@@ -85,7 +85,7 @@ fn standing_on(mesh: &Mesh, adjacency: &Adjacency, plane: &Plane, thickness: f32
     border.sort_unstable();
     border.dedup();
     let on = border.iter().filter(|&&v| lies_on(mesh, plane, v as usize, thickness)).count();
-    (on as f32 >= STANDS * border.len() as f32 && on > 0).then_some(inside)
+    (on as f32 >= STANDS * border.len() as f32).then_some(inside)
 }
 
 /// The least-squares plane of the support within twice a thing's radius.
