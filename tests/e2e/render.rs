@@ -259,13 +259,15 @@ fn things_of_other_forms_and_other_scans_are_inserted() {
     let view = ["--view", "keyframe:0"];
     let without = png(&s.render("without.png", &view)).1;
     let place = format!("@{},90,0.3", s.middle());
+    // A segment is a piece of a scan: as large as it is, it is to be seen.
+    let as_it_is = format!("@{},90", s.middle());
     let small = (0..s.estimate.segments.len()).filter(|i| s.estimate.segments[*i].vertices > 50);
     let smallest = small.min_by_key(|i| s.estimate.segments[*i].vertices).unwrap();
-    for (name, object) in [
-        ("glb.png", glb),
-        ("whole.png", result.clone()),
-        ("part.png", format!("{result}#segment={smallest}")),
-        ("cube.png", s.path("box.ply")),
+    for (name, object, place) in [
+        ("glb.png", glb, &place),
+        ("whole.png", result.clone(), &place),
+        ("part.png", format!("{result}#segment={smallest}"), &as_it_is),
+        ("cube.png", s.path("box.ply"), &place),
     ] {
         let picture = png(&s.render(name, &[&view[..], &["--insert", &format!("{object}{place}")]].concat())).1;
         assert!(!changed(&picture, &without).is_empty(), "{name}");
