@@ -7,6 +7,7 @@ mod usage;
 
 use estimator::reality::change::{Changed, change};
 use estimator::reality::compose::{Viewpoint, compose, model};
+use estimator::reality::hole::cut;
 use estimator::reality::infer::infer;
 use estimator::reality::object::{Material, Object, vertex_normals};
 use estimator::reality::panorama::{Panorama, Projector};
@@ -34,7 +35,7 @@ fn main() {
 
     let around = || (infer(&estimate.light, &[]), Backdrop::default());
     let nothing = vec![false; estimate.mesh.positions.len()];
-    let before = change(&estimate, around(), &nothing, &[], &config);
+    let before = change(&estimate, around(), cut(&estimate.mesh, &nothing), &[], &config);
     let photo = model(&before, &view, &config);
     let over = |name: &str, make: &dyn Fn() -> Changed| {
         let (cpu, wall) = (processor_s(), Instant::now());
@@ -46,10 +47,12 @@ fn main() {
     let mut thing = Object { mesh: ball(48, 48), materials: vec![Material::default()], ..Object::default() };
     thing.material = vec![0; thing.mesh.triangles.len()];
     thing.place(Vec3::new(-0.2, -0.1, 0.05), 0.0, 0.05);
-    over("insert over a photo", &|| change(&estimate, around(), &nothing, std::slice::from_ref(&thing), &config));
+    over("insert over a photo", &|| {
+        change(&estimate, around(), cut(&estimate.mesh, &nothing), std::slice::from_ref(&thing), &config)
+    });
     let low = Removal::Box(Vec3::new(0.0, 0.0, 0.001), Vec3::splat(1.0));
     let gone = select(&estimate.mesh, &estimate.segment, &scene, &[low]).expect("the ball is there");
-    over("remove from a photo", &|| change(&estimate, around(), &gone, &[], &config));
+    over("remove from a photo", &|| change(&estimate, around(), cut(&estimate.mesh, &gone), &[], &config));
 
     let (cpu, wall) = (processor_s(), Instant::now());
     let relight = Relight::new(&before, &config, &|_| {});

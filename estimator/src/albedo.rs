@@ -1,5 +1,6 @@
 //! Albedo in detail: the segments' albedo refined per vertex where light and colours tell more.
 
+use crate::robust::median;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -96,12 +97,4 @@ fn medians(known: &Known, segments: usize) -> Vec<f64> {
         }
     }
     all.into_iter().map(median).collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

@@ -9,7 +9,7 @@ use glam::Vec3;
 use std::sync::Arc;
 
 /// Albedo before anything is known of it (a0 of Eq. 10).
-const MID_GREY: f32 = 0.5;
+pub(crate) const MID_GREY: f32 = 0.5;
 /// The free factor per channel is fixed by the brightest segment of at least this share of the seen vertices …
 pub(crate) const SCALE_SHARE: f64 = 0.02;
 /// … which gets this albedo.

@@ -5,6 +5,7 @@
 
 use crate::factorise::SCALE_SHARE;
 use crate::random::hash;
+use crate::robust::median;
 use crate::sh;
 use crate::transfer::Transfer;
 use glam::Vec3;
@@ -24,7 +25,7 @@ const FOLDS: u32 = 5;
 /// Votes of one partial sum.
 const PIECE: usize = 1024;
 /// Lit colours count relative to themselves, but not below this share of the segment's median.
-const DARK_FLOOR: f64 = 0.15;
+pub(crate) const DARK_FLOOR: f64 = 0.15;
 /// No channel's colours are taken to be smaller than this share of the brightest channel's.
 const DARK_CHANNEL: f64 = 1e-3;
 /// Gloss that nobody has found yet, against the brightest segment's albedo and in units of the relative error of a lit
@@ -511,12 +512,4 @@ fn posterior(gram: DMatrix<f64>, residual: f64, total: f64, pull: f64, k: usize)
         })
         .collect();
     (condition, deviation)
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

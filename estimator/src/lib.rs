@@ -125,7 +125,7 @@ pub fn estimate_on(
     warnings.extend(near);
     progress.stage("witnesses", 0.0);
     let witnesses = stages::witnesses(&mut ready, scan, &found, &gloss, &lit_with_gloss, config, &mut plan);
-    ready.decisions.push(stages::transfer_decision(&found, config));
+    ready.decisions.push(stages::transfer_decision(&found));
     if scan.keyframes.len() < 2 {
         warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());
     }

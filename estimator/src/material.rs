@@ -2,14 +2,12 @@
 
 use crate::graph::Graph;
 use crate::segmentation::lab;
-use crate::specular::Gloss;
+use crate::specular::{Gloss, SIGNIFICANT};
 use glam::Vec3;
 use recordings::types::Mesh;
 
 /// Albedos that differ by less are alike (CIELAB).
 const ALIKE: f32 = 10.0;
-/// A weight below this many standard errors is none.
-const SIGNIFICANT: f64 = 3.0;
 
 /// Weights pooled over the segments of each material, by their standard errors.
 #[must_use]

@@ -4,6 +4,7 @@
 //! but not from another power law.
 
 use crate::association::Association;
+use crate::robust::median;
 use recordings::result::Decision;
 use recordings::types::Response;
 use std::collections::BTreeMap;
@@ -112,11 +113,6 @@ fn change(shared: &Shared, response: &Response) -> f64 {
         }
     }
     (sum / f64::from(count.max(1))).sqrt()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 /// Linear light of a value.

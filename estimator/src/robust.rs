@@ -1,4 +1,4 @@
-//! Medians.
+//! Medians, and what a difference over many parts says.
 
 /// The middle value; 0 of nothing.
 pub fn median(mut values: Vec<f64>) -> f64 {
@@ -24,4 +24,24 @@ pub fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
         }
     }
     values.last().map_or(0.0, |v| v.0)
+}
+
+/// Mean of what many parts gain, with its standard error.
+#[derive(Debug, Clone, Copy)]
+pub struct Gain {
+    pub mean: f64,
+    pub error: f64,
+}
+
+impl Gain {
+    /// From the gain of every part; fewer than two say nothing.
+    pub fn of(gains: &[f64]) -> Self {
+        let n = gains.len() as f64;
+        if n < 2.0 {
+            return Self { mean: 0.0, error: f64::INFINITY };
+        }
+        let mean = gains.iter().sum::<f64>() / n;
+        let variance = gains.iter().map(|g| (g - mean) * (g - mean)).sum::<f64>() / (n - 1.0);
+        Self { mean, error: libm::sqrt(variance / n) }
+    }
 }

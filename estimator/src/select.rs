@@ -1,8 +1,9 @@
 //! Model only what the scene requires (DESIGN §7): bands, transfer and rays by evidence from this scene.
 
 use crate::albedo::Detail;
-use crate::factorise::{self, Colors};
-use crate::inverse::{self, Observed, Solution};
+use crate::factorise::{self, Colors, MID_GREY};
+use crate::inverse::{self, DARK_FLOOR, Observed, Solution};
+use crate::robust::{Gain, median};
 use crate::scene::Scene;
 use crate::transfer::{self, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
@@ -23,8 +24,6 @@ const SIGNIFICANT: f64 = 1.0;
 const LEAST_GAIN: f64 = 2e-4;
 /// Relative errors count up to this.
 const CAPPED: f64 = 0.5;
-/// Errors are relative to the colour, or to this share of the segment's median where the colour is darker.
-const DARK_FLOOR: f64 = 0.15;
 /// Vertices of the pilot.
 const PILOT_VERTICES: usize = 1024;
 /// Rays of the pilot, and those that every selection begins with.
@@ -35,8 +34,6 @@ const TRANSFER_SHARE: f64 = 0.35;
 const MOST_RAYS: u32 = 1024;
 /// Twice the rays of a scrambled Sobol set have this share of the error.
 pub const ERROR_OF_TWICE: f64 = 0.6;
-/// Albedo before any is known (a0 of Eq. 10).
-const MID_GREY: f32 = 0.5;
 /// Error with which a lit colour is known, however often it was seen: bounced light below it cannot be told.
 const COLOR_ERROR: f64 = 0.01;
 
@@ -70,18 +67,20 @@ pub fn is_open(config: &EstimatorConfig, blocked: f64) -> bool {
 }
 
 /// Whether interreflection is modelled: if the light of one bounce between mid-grey surfaces stands out of the error of
-/// the rays and of the colours. Returns that share, too.
+/// the rays and of the colours.
 #[must_use]
-pub fn interreflects(config: &EstimatorConfig, traced: &Traced) -> (bool, f64) {
-    let grey = vec![Vec3::splat(MID_GREY); traced.vertices()];
+pub fn interreflects(config: &EstimatorConfig, traced: &Traced) -> bool {
     match config.transfer {
-        TransferChoice::Gi => (true, transfer::bounce(traced, &grey, 1).share),
-        TransferChoice::Shade | TransferChoice::Diffuse => (false, 0.0),
-        TransferChoice::Auto => {
-            let share = transfer::bounce(traced, &grey, 1).share;
-            (traced.mean_blocked() > config.gi_from_blocked && share > COLOR_ERROR, share)
-        }
+        TransferChoice::Gi => true,
+        TransferChoice::Shade | TransferChoice::Diffuse => false,
+        TransferChoice::Auto => traced.mean_blocked() > config.gi_from_blocked && grey_bounce(traced) > COLOR_ERROR,
     }
+}
+
+/// Share of the light that one bounce between mid-grey surfaces brings.
+#[must_use]
+pub fn grey_bounce(traced: &Traced) -> f64 {
+    transfer::bounce(traced, &vec![Vec3::splat(MID_GREY); traced.vertices()], 1).share
 }
 
 /// The fewest bands that nothing above predicts the held-out vertices significantly better than, at most `most`.
@@ -111,7 +110,7 @@ pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, mo
         let higher = level(n);
         note(&higher);
         let gain = higher.gain_over(&best);
-        if gain.is_significant() {
+        if is_significant(&gain) {
             (best, next, without) = (higher, None, 0);
         } else {
             (next, without) = (next.or(Some((n, gain))), without + 1);
@@ -123,7 +122,7 @@ pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, mo
             let lower = level(n);
             note(&lower);
             let gain = best.gain_over(&lower);
-            if gain.is_significant() {
+            if is_significant(&gain) {
                 break;
             }
             next = Some((best.bands, gain));
@@ -166,30 +165,17 @@ pub struct Selected {
 
 /// What errors are relative to at least, per segment.
 fn floors(evidence: &Colors) -> Vec<f64> {
-    let mut colors: Vec<Vec<f32>> = vec![Vec::new(); evidence.segments];
+    let mut colors: Vec<Vec<f64>> = vec![Vec::new(); evidence.segments];
     for ((f, weight), segment) in evidence.lit_color.iter().zip(evidence.lit_weight).zip(evidence.segment) {
         if *weight > 0.0 && f.is_finite() {
-            colors[*segment as usize].push(f.element_sum() / 3.0);
+            colors[*segment as usize].push(f64::from(f.element_sum() / 3.0));
         }
     }
-    let floor = |mut values: Vec<f32>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { 0.0 } else { *values.select_nth_unstable_by(middle, f32::total_cmp).1 }
-    };
-    colors.into_iter().map(|values| DARK_FLOOR * f64::from(floor(values))).collect()
+    colors.into_iter().map(|values| DARK_FLOOR * median(values)).collect()
 }
 
-/// Gain of one level over another, with its standard error over blocks of vertices.
-#[derive(Debug, Clone, Copy)]
-struct Gain {
-    mean: f64,
-    error: f64,
-}
-
-impl Gain {
-    fn is_significant(&self) -> bool {
-        self.mean > SIGNIFICANT * self.error && self.mean > LEAST_GAIN
-    }
+fn is_significant(gain: &Gain) -> bool {
+    gain.mean > SIGNIFICANT * gain.error && gain.mean > LEAST_GAIN
 }
 
 /// One number of bands, and how well it predicts what was left out.
@@ -241,12 +227,6 @@ impl Level {
     /// How much lower the error is than with `other`, over the same blocks.
     fn gain_over(&self, other: &Self) -> Gain {
         let gains: Vec<f64> = self.blocks.iter().zip(&other.blocks).map(|(a, b)| (b.1 - a.1) / a.2).collect();
-        let n = gains.len() as f64;
-        if n < 2.0 {
-            return Gain { mean: 0.0, error: f64::INFINITY };
-        }
-        let mean = gains.iter().sum::<f64>() / n;
-        let variance = gains.iter().map(|g| (g - mean) * (g - mean)).sum::<f64>() / (n - 1.0);
-        Gain { mean, error: libm::sqrt(variance / n) }
+        Gain::of(&gains)
     }
 }

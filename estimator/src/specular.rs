@@ -5,6 +5,7 @@
 //! out, and f and f_s cannot be collinear. w_d then follows from Eq. (13) as it stands.
 
 use crate::association::Association;
+use crate::robust::Gain;
 use crate::scene::{Hit, Scene};
 use crate::sh;
 use glam::{DVec3, Vec3};
@@ -27,7 +28,7 @@ const DARK_FLOOR: f64 = 0.03;
 /// Observations of neighbouring vertices in one picture err together: so many count as one.
 const CORRELATED: f64 = 30.0;
 /// A weight below this many standard errors is none.
-const SIGNIFICANT: f64 = 3.0;
+pub(crate) const SIGNIFICANT: f64 = 3.0;
 
 /// Share of 1 that the determinant of Eq. (13) must reach, else f and f_s are collinear and all goes to w_d.
 const NEARLY_COLLINEAR: f64 = 1e-3;
@@ -238,10 +239,7 @@ impl Prediction {
     pub fn gain_over(&self, other: &Self) -> f64 {
         let both = self.vertices.iter().zip(&other.vertices).filter(|(a, _)| a.1 > 0.0);
         let gains: Vec<f64> = both.map(|(a, b)| (b.0 - a.0) / a.1).collect();
-        let n = gains.len() as f64;
-        let mean = gains.iter().sum::<f64>() / n;
-        let variance = gains.iter().map(|g| (g - mean) * (g - mean)).sum::<f64>() / (n - 1.0);
-        let error = libm::sqrt(variance / n);
+        let Gain { mean, error } = Gain::of(&gains);
         if error > 0.0 { mean / error } else { 0.0 }
     }
 }

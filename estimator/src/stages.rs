@@ -174,7 +174,7 @@ pub fn settle(
 ) -> Settled {
     progress.stage("factorisation", 0.0);
     let (bounces, most) = plan.light(traced.mean_blocked());
-    let (gi, _) = select::interreflects(config, &traced);
+    let gi = select::interreflects(config, &traced);
     let settings = Settings { gi, bands: most, most_bands: most, bounces, solver: config.solver };
     if config.bands > 0 || config.solver != SolverChoice::Robust {
         return Settled { traced, settings, start: None };
@@ -309,9 +309,8 @@ const UNTOLD: f64 = 0.25;
 
 /// What transfer was chosen, and on what evidence.
 #[must_use]
-pub fn transfer_decision(found: &Factorised, config: &EstimatorConfig) -> Decision {
+pub fn transfer_decision(found: &Factorised) -> Decision {
     let traced = &found.transfer.traced;
-    let (_, grey) = select::interreflects(config, traced);
     let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
         format!(
             "; {} bounces bring {:.1} % of the light, the last {:.2} %",
@@ -334,7 +333,10 @@ pub fn transfer_decision(found: &Factorised, config: &EstimatorConfig) -> Decisi
         ),
         next_level: match level {
             "diffuse" => "visibility: less than the colours err".into(),
-            "shade" => format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * grey),
+            "shade" => {
+                let share = select::grey_bounce(traced);
+                format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * share)
+            }
             _ => format!(
                 "twice the rays: relative standard error about {:.3}",
                 select::ERROR_OF_TWICE * traced.relative_error()

@@ -276,9 +276,9 @@ fn associate_reference(
     reference: &Reference,
     pose: &Pose,
     out: &mut Vec<Association>,
-) -> Asked {
+) -> usize {
     out.clear();
-    let mut asked = Asked::default();
+    let mut asked = 0;
     let world_from_reference = Rigid::from(&reference.world_from_camera);
     let reference_from_camera = Rigid::from(&reference.world_from_camera.inverse().compose(pose));
     let to_depth = Rigid::from(&rig.depth_from_color);
@@ -289,7 +289,7 @@ fn associate_reference(
             if !s.is_valid() {
                 continue;
             }
-            asked.points += 1;
+            asked += 1;
             let p = reference_from_camera.apply(s.p);
             let Some(pixel) = rig.grid.pixel(to_depth.apply(p)) else { continue };
             let (u, v) = (pixel % rig.grid.width / 2, pixel / rig.grid.width / 2);
@@ -305,30 +305,21 @@ fn associate_reference(
     asked
 }
 
-/// What came of the points that were to be associated.
-#[derive(Debug, Clone, Copy, Default)]
-struct Asked {
-    points: usize,
-    /// Those that lie in known free space.
-    free: usize,
-}
-
 /// Association with the volume: the plane through the surface point nearest to each of the frame's points.
-fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, out: &mut Vec<Association>) -> Asked {
+fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, out: &mut Vec<Association>) -> usize {
     let t = Rigid::from(pose);
     let limit = 0.95 * volume.truncation_m();
-    let parts: Vec<(Vec<Association>, Asked)> = frame
+    let parts: Vec<(Vec<Association>, usize)> = frame
         .grid
         .par_chunks(CHUNK)
         .map(|surfels| {
             let mut found = Vec::with_capacity(surfels.len() / stride);
-            let mut asked = Asked::default();
+            let mut asked = 0;
             let mut cursor = Cursor::default();
             for s in surfels.iter().step_by(stride).filter(|s| s.is_valid()) {
-                asked.points += 1;
+                asked += 1;
                 let p = t.apply(s.p);
                 let Some(sample) = volume.sample(p, &mut cursor) else { continue };
-                asked.free += usize::from(sample.distance > limit);
                 let steepness = sample.gradient.length();
                 if sample.distance.abs() > limit || !(0.3..3.0).contains(&steepness) {
                     continue;
@@ -343,11 +334,10 @@ fn associate_volume(frame: &Frame, volume: &Volume, pose: &Pose, stride: usize, 
         })
         .collect();
     out.clear();
-    let mut asked = Asked::default();
+    let mut asked = 0;
     for (found, n) in parts {
         out.extend(found);
-        asked.points += n.points;
-        asked.free += n.free;
+        asked += n;
     }
     asked
 }
@@ -360,8 +350,6 @@ pub struct Alignment {
     pub fit: f32,
     /// Share of the asked grid points where the geometry is known.
     pub overlap: f32,
-    /// Share of the asked grid points that lie where the volume knows free space.
-    pub contradicted: f32,
     /// Mean photometric residual of the last level, grey values.
     pub photo_error: f32,
     /// Share of the photometric points that were seen.
@@ -438,7 +426,6 @@ impl Tracker {
             world_from_camera: pose,
             fit: 0.0,
             overlap: 0.0,
-            contradicted: 0.0,
             photo_error: 0.0,
             photo_seen: 0.0,
             condition: 0.0,
@@ -464,9 +451,8 @@ impl Tracker {
                     pose = pose.compose(&exp(&solution.delta));
                     brightness.gain = (brightness.gain + solution.gain).clamp(0.2, 5.0);
                     brightness.offset = (brightness.offset + solution.offset).clamp(-128.0, 128.0);
-                    out.fit = geo.inliers as f32 / asked.points.max(1) as f32;
-                    out.overlap = geo.count as f32 / asked.points.max(1) as f32;
-                    out.contradicted = asked.free as f32 / asked.points.max(1) as f32;
+                    out.fit = geo.inliers as f32 / asked.max(1) as f32;
+                    out.overlap = geo.count as f32 / asked.max(1) as f32;
                     out.photo_error = (photo.absolute / photo.count.max(1) as f64) as f32;
                     out.photo_seen = photo.count as f32 / points.len().max(1) as f32;
                     out.condition = solution.condition;

@@ -381,16 +381,7 @@ fn a_loop_around_a_small_object_closes() {
 #[test]
 fn a_violent_turn_on_the_spot_is_followed() {
     let sensor = world::sensor(320, 240);
-    let room = World {
-        shapes: vec![
-            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
-            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
-            Shape::Box(DVec3::new(1.2, -0.4, 0.0), DVec3::new(2.0, 0.5, 1.2)),
-        ],
-        mean: 120.0,
-        contrast: 80.0,
-        cell_m: 0.12,
-    };
+    let room = world::room();
     let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
     // Up to 8° a frame about a tilted axis, there and back.
     let truth: Vec<Pose> = (0..40)
@@ -407,16 +398,7 @@ fn a_violent_turn_on_the_spot_is_followed() {
 #[test]
 fn a_fast_turn_is_followed_through_motion_blur() {
     let sensor = world::sensor(240, 180);
-    let room = World {
-        shapes: vec![
-            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
-            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
-            Shape::Box(DVec3::new(1.2, -0.4, 0.0), DVec3::new(2.0, 0.5, 1.2)),
-        ],
-        mean: 120.0,
-        contrast: 80.0,
-        cell_m: 0.12,
-    };
+    let room = world::room();
     let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
     let pose = |t: f64| {
         let a = 40.0 * (1.0 - libm::cos(0.12 * t));

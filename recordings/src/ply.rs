@@ -134,8 +134,7 @@ pub fn read_ply(path: &Path) -> Result<Mesh> {
         return Err(Error::invalid(path, "the mesh file is larger than 4 GiB", "simplify the mesh"));
     }
     let bytes = std::fs::read(path).map_err(|e| Error::io(path, e))?;
-    let parsed = parse_ply(&bytes, &[]);
-    parsed
+    parse_ply(&bytes, &[])
         .map(|(mesh, _)| mesh)
         .map_err(|problem| Error::invalid(path, problem, "export the mesh again as PLY with triangles"))
 }
@@ -155,7 +154,7 @@ pub struct VertexColumn {
 ///
 /// # Errors
 /// What is wrong with the bytes.
-pub fn parse_ply(bytes: &[u8], wanted: &[&str]) -> std::result::Result<(Mesh, Vec<VertexColumn>), String> {
+pub fn parse_ply(bytes: &[u8], wanted: &[&str]) -> Parsed<(Mesh, Vec<VertexColumn>)> {
     let (format, elements, data) = parse_header(bytes)?;
     let mut body = match format {
         Format::Ascii => {
@@ -390,12 +389,12 @@ pub fn write_ply(path: &Path, mesh: &Mesh, columns: &[(&str, Column)]) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::bumpy_mesh;
+    use proptest::prelude::*;
 
     fn parse(bytes: &[u8]) -> Parsed<Mesh> {
         parse_ply(bytes, &[]).map(|(mesh, _)| mesh)
     }
-    use crate::testing::bumpy_mesh;
-    use proptest::prelude::*;
 
     const SQUARE: &str = "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\nproperty uchar red\n\
         property double z\nproperty list uchar short tags\nproperty float y\nproperty float x\nelement edge 1\n\

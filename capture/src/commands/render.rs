@@ -162,13 +162,14 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     }
     let first = &views[0].viewpoint;
     let gone = gone(args, &estimate, &scene, first)?;
-    let objects = objects(args, &estimate, &cut(&estimate.mesh, &gone).kept, first)?;
+    let cut = cut(&estimate.mesh, &gone);
+    let objects = objects(args, &estimate, &cut.kept, first)?;
     reporter.step(&step("light", 0.0, String::new()));
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
     let known = surroundings(&estimate, &scene, &pictures);
     let around = (infer(&estimate.light, &known), Backdrop::new(&estimate, pictures, &known));
-    let changed = change(&estimate, around, &gone, &objects, &config);
+    let changed = change(&estimate, around, cut, &objects, &config);
 
     let started = Instant::now();
     let progress = |done: usize, total: Option<usize>| {
@@ -238,6 +239,9 @@ fn picture_of(scan: Option<&Scan>, name: &str) -> Option<RgbImage> {
 /// What is inserted, in its place on `mesh`: what stays of the scan.
 fn objects(args: &Render, estimate: &Estimate, mesh: &Mesh, view: &Viewpoint) -> Result<Vec<Object>, Failure> {
     let mut objects = Vec::new();
+    if args.insert.is_empty() {
+        return Ok(objects);
+    }
     let scene = Scene::new(mesh);
     for insert in &args.insert {
         let (mut object, odd) = load_object(insert, view, mesh, &scene)?;

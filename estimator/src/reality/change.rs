@@ -1,7 +1,7 @@
 //! From a result to a world with something inserted and something removed, lit on both sides.
 
 use super::environment::Environment;
-use super::hole::{Cut, cut};
+use super::hole::Cut;
 use super::object::{Material, Object};
 use super::remove::{Adjacency, inpaint};
 use super::seen::Backdrop;
@@ -76,17 +76,17 @@ pub fn scanned(estimate: &Estimate) -> Object {
     }
 }
 
-/// Lights a world (its light, what is behind it) in which `gone` vertices of the result are removed and `inserted` stands.
+/// Lights a world (its light, what is behind it) of what a `cut` of the result leaves, and in which `inserted` stands.
 #[must_use]
 pub fn change(
     estimate: &Estimate,
     (environment, backdrop): (Environment, Backdrop),
-    gone: &[bool],
+    cut: Cut,
     inserted: &[Object],
     config: &RealityConfig,
 ) -> Changed {
     let whole = scanned(estimate);
-    let Cut { kept, first_patch, removed, removed_from } = cut(&estimate.mesh, gone);
+    let Cut { kept, first_patch, removed, removed_from } = cut;
     let adjacency = Adjacency::new(kept.positions.len(), &kept.triangles);
 
     let mut radiance = estimate.lit_color.clone();

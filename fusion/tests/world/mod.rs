@@ -43,6 +43,20 @@ pub fn desk() -> World {
     }
 }
 
+/// A room with two pieces of furniture, textured.
+pub fn room() -> World {
+    World {
+        shapes: vec![
+            Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
+            Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
+            Shape::Box(DVec3::new(1.2, -0.4, 0.0), DVec3::new(2.0, 0.5, 1.2)),
+        ],
+        mean: 120.0,
+        contrast: 80.0,
+        cell_m: 0.12,
+    }
+}
+
 fn slab(lo: DVec3, hi: DVec3, o: DVec3, d: DVec3) -> (f64, f64) {
     let (a, b) = ((lo - o) / d, (hi - o) / d);
     (a.min(b).max_element(), a.max(b).min_element())
