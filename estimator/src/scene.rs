@@ -1,25 +1,22 @@
-//! The mesh as something rays hit: a compressed wide BVH over watertight triangles.
+//! The mesh as something rays hit: a wide BVH over watertight triangles.
 
-use glam::{UVec2, Vec3, Vec3A, Vec3Swizzles};
+mod trace;
+mod wide;
+
+use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
-use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
-use obvhs::cwbvh::{CwBvh, Traversal};
-use obvhs::faststack::FastStack;
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
-use obvhs::ray::Ray;
 use recordings::types::Mesh;
+use trace::Ray;
+use wide::Wide;
 
-/// Boxes grow by this much (median edges): the traversal clamps inverse directions, so that flat boxes that an
-/// axis-parallel ray runs along would be missed.
+/// Boxes grow by this much (median edges), or else one that is flat would have no inside.
 const BOX_PADDING: f32 = 1e-3;
 /// Rays start this far off the surface (median edges): far above rounding, far below any feature.
 const ORIGIN_OFFSET: f32 = 4e-2;
 /// Coordinates beyond this many median edges are no part of a scene: their products leave the range of f32.
 const LARGEST_COORDINATE: f32 = 1e8;
-
-/// Levels that the traversal keeps without allocating; only hostile geometry makes a deeper hierarchy.
-const STACK: usize = 32;
 
 /// Where a ray meets the mesh.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,33 +31,11 @@ pub struct Hit {
     pub v: f32,
 }
 
-/// A triangle: the x of its three corners, their y, their z.
-#[derive(Debug, Clone, Copy)]
-struct Corners([Vec3A; 3]);
-
-impl Corners {
-    fn new(a: Vec3A, b: Vec3A, c: Vec3A) -> Self {
-        Self([Vec3A::new(a.x, b.x, c.x), Vec3A::new(a.y, b.y, c.y), Vec3A::new(a.z, b.z, c.z)])
-    }
-    fn low(&self) -> Vec3A {
-        Vec3A::from_array(self.0.map(Vec3A::min_element))
-    }
-    fn high(&self) -> Vec3A {
-        Vec3A::from_array(self.0.map(Vec3A::max_element))
-    }
-    fn largest(&self) -> f32 {
-        self.low().abs().max(self.high().abs()).max_element()
-    }
-}
-
 /// A mesh that answers visibility queries. Surfaces are two-sided. Inside, coordinates are scaled by a power of two so
 /// that the median edge is about one: thresholds of the traversal then mean the same at any scale of the scene.
 #[derive(Debug)]
 pub struct Scene {
-    bvh: CwBvh,
-    depth: usize,
-    corners: Vec<Corners>,
-    triangles: Vec<u32>,
+    wide: Wide,
     center: Vec3,
     scale: f32,
     median_edge: f32,
@@ -83,45 +58,20 @@ impl Scene {
         let center = center(&valid);
         let inside = |p: Vec3| Vec3A::from((p - center) * scale);
 
-        let mut corners = Vec::with_capacity(valid.len());
-        let mut triangles = Vec::with_capacity(valid.len());
-        for (index, [a, b, c]) in &valid {
-            let t = Corners::new(inside(*a), inside(*b), inside(*c));
-            if t.largest() < LARGEST_COORDINATE {
-                corners.push(t);
-                triangles.push(*index);
-            }
-        }
-        let bvh = build(&corners);
-        let order = &bvh.primitive_indices;
-        let corners: Vec<Corners> = order.iter().map(|&i| corners[i as usize]).collect();
-        let triangles: Vec<u32> = order.iter().map(|&i| triangles[i as usize]).collect();
-        let largest_coordinate = corners.iter().map(Corners::largest).fold(0.0, f32::max);
-        let depth = depth(&bvh);
-        Self { bvh, depth, corners, triangles, center, scale, median_edge, largest_coordinate }
+        let triangles: Vec<(u32, [Vec3A; 3])> = valid
+            .iter()
+            .map(|(index, corners)| (*index, corners.map(inside)))
+            .filter(|(_, corners)| largest(corners) < LARGEST_COORDINATE)
+            .collect();
+        let largest_coordinate = triangles.iter().map(|(_, corners)| largest(corners)).fold(0.0, f32::max);
+        Self { wide: build(&triangles), center, scale, median_edge, largest_coordinate }
     }
 
     /// The nearest surface along the unit `direction`.
     #[must_use]
     pub fn closest_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        let mut sheared = self.ray(origin, direction, f32::INFINITY)?;
-        let mut best: Option<(u32, f32, f32)> = None;
-        let mut node;
-        obvhs::fast_stack!(UVec2, (STACK), self.depth, stack, {
-            let mut state = State::new(stack, &self.bvh, sheared.ray.direction);
-            obvhs::traverse!(self.bvh, node, state, node.intersect_ray(&sheared.ray, state.oct_inv4), {
-                if let Some((t, u, v)) = sheared.intersect(&self.corners[state.primitive_id as usize]) {
-                    sheared.ray.tmax = t;
-                    best = Some((state.primitive_id, u, v));
-                }
-            });
-        });
-        best.map(|(i, u, v)| Hit {
-            distance: sheared.ray.tmax / self.scale,
-            triangle: self.triangles[i as usize],
-            u,
-            v,
-        })
+        let met = self.wide.closest(&self.ray(origin, direction)?)?;
+        Some(Hit { distance: met.distance / self.scale, triangle: met.triangle, u: met.u, v: met.v })
     }
 
     /// True if anything lies along the unit `direction`.
@@ -133,19 +83,8 @@ impl Scene {
     /// True if anything lies along the unit `direction` nearer than `distance`.
     #[must_use]
     pub fn occluded_within(&self, origin: Vec3, direction: Vec3, distance: f32) -> bool {
-        let Some(sheared) = self.ray(origin, direction, distance * self.scale) else {
-            return false;
-        };
-        let mut node;
-        obvhs::fast_stack!(UVec2, (STACK), self.depth, stack, {
-            let mut state = State::new(stack, &self.bvh, sheared.ray.direction);
-            obvhs::traverse!(self.bvh, node, state, node.intersect_ray(&sheared.ray, state.oct_inv4), {
-                if sheared.intersect(&self.corners[state.primitive_id as usize]).is_some() {
-                    return true;
-                }
-            });
-        });
-        false
+        let within = (distance * self.scale).next_down();
+        self.ray(origin, direction).is_some_and(|ray| self.wide.any(&ray, within))
     }
 
     /// Where a ray leaving the surface at `position` starts: off the surface by a small share of an edge, and by more
@@ -162,97 +101,27 @@ impl Scene {
         self.median_edge
     }
 
-    fn ray(&self, origin: Vec3, direction: Vec3, distance: f32) -> Option<Sheared> {
+    #[inline(always)]
+    fn ray(&self, origin: Vec3, direction: Vec3) -> Option<Ray> {
         let origin = Vec3A::from((origin - self.center) * self.scale);
         let usable =
             origin.abs().max_element() < LARGEST_COORDINATE && direction.is_finite() && direction != Vec3::ZERO;
-        // Adding 0 turns −0 into 0: the box test would take its sign one way and its inverse the other.
-        let direction = Vec3A::from(direction) + Vec3A::ZERO;
-        (usable && !self.corners.is_empty()).then(|| Sheared::new(Ray::new(origin, direction, 0.0, distance)))
+        (usable && !self.wide.leaves.is_empty()).then(|| Ray::new(origin, direction.into()))
     }
 }
 
-/// What the traversal macro works on: obvhs' own state with a stack of any depth.
-struct State<S> {
-    stack: S,
-    current_group: UVec2,
-    primitive_group: UVec2,
-    oct_inv4: u32,
-    primitive_id: u32,
-    hitmask: u32,
+fn largest(corners: &[Vec3A; 3]) -> f32 {
+    corners.iter().map(|c| c.abs().max_element()).fold(0.0, f32::max)
 }
 
-impl<S: FastStack<UVec2>> State<S> {
-    #[inline(always)]
-    fn new(stack: S, bvh: &CwBvh, direction: Vec3A) -> Self {
-        let Traversal { current_group, primitive_group, oct_inv4, primitive_id, hitmask, .. } =
-            bvh.new_traversal(direction);
-        Self { stack, current_group, primitive_group, oct_inv4, primitive_id, hitmask }
-    }
-}
-
-/// A ray in the frame of Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): the axis it runs
-/// along most is z, and a shear makes it that axis.
-struct Sheared {
-    ray: Ray,
-    axes: [usize; 3],
-    origin: [f32; 3],
-    shear: [f32; 2],
-    inverse_z: f32,
-}
-
-impl Sheared {
-    fn new(ray: Ray) -> Self {
-        let (o, d, size) = (ray.origin.to_array(), ray.direction.to_array(), ray.direction.abs());
-        let z = if size.x >= size.y && size.x >= size.z {
-            0
-        } else if size.y >= size.z {
-            1
-        } else {
-            2
-        };
-        let axes = [(z + 1) % 3, (z + 2) % 3, z];
-        Self {
-            ray,
-            axes,
-            origin: axes.map(|k| o[k]),
-            shear: [d[axes[0]] / d[z], d[axes[1]] / d[z]],
-            inverse_z: 1.0 / d[z],
-        }
-    }
-
-    /// Distance and barycentric weights. The sign of an edge function is exact for the sheared corners (rounded products
-    /// keep their order; a difference of zero is taken again in f64), so triangles that share an edge or a corner agree
-    /// on which of them a ray passes: no gap between them.
-    #[inline(always)]
-    fn intersect(&self, corners: &Corners) -> Option<(f32, f32, f32)> {
-        let [kx, ky, kz] = self.axes;
-        let z = corners.0[kz] - self.origin[2];
-        let x = corners.0[kx] - self.origin[0] - z * self.shear[0];
-        let y = corners.0[ky] - self.origin[1] - z * self.shear[1];
-        let mut edges = x.zxy() * y.yzx() - y.zxy() * x.yzx();
-        if edges.cmpeq(Vec3A::ZERO).any() {
-            let (x, y) = (x.as_dvec3(), y.as_dvec3());
-            edges = (x.zxy() * y.yzx() - y.zxy() * x.yzx()).as_vec3a();
-        }
-        if edges.min_element() < 0.0 && edges.max_element() > 0.0 {
-            return None;
-        }
-        let sum = edges.element_sum();
-        let t = edges.dot(z) * self.inverse_z / sum;
-        // Edge-on triangles give NaN, which fails here.
-        (t > 0.0 && t < self.ray.tmax).then(|| (t, edges.y / sum, edges.z / sum))
-    }
-}
-
-fn build(corners: &[Corners]) -> CwBvh {
-    if corners.is_empty() {
-        return CwBvh::default();
+fn build(triangles: &[(u32, [Vec3A; 3])]) -> Wide {
+    if triangles.is_empty() {
+        return Wide::default();
     }
     let boxes: Vec<Aabb> = (0u32..)
-        .zip(corners)
-        .map(|(index, t)| {
-            let (low, high) = (t.low(), t.high());
+        .zip(triangles)
+        .map(|(index, (_, [a, b, c]))| {
+            let (low, high) = (a.min(*b).min(*c), a.max(*b).max(*c));
             // Uneven padding, because many equal boxes would be merged one by one into a tree as deep as they are many.
             let uneven = 1.0 + (index.wrapping_mul(2_654_435_761) >> 8) as f32 / 16_777_216.0;
             let padding = Vec3A::splat(BOX_PADDING * uneven) + low.abs().max(high.abs()) * (4.0 * f32::EPSILON);
@@ -260,27 +129,15 @@ fn build(corners: &[Corners]) -> CwBvh {
         })
         .collect();
     let indices = (0..boxes.len() as u32).collect();
-    let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
+    let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
         PlocSearchDistance::Medium,
         &boxes,
         indices,
         SortPrecision::U64,
         3,
     );
-    ReinsertionOptimizer::default().run(&mut bvh2, 0.05, None);
-    bvh2_to_cwbvh(&bvh2, 3, true, false)
-}
-
-/// Levels of the hierarchy.
-fn depth(bvh: &CwBvh) -> usize {
-    let mut deepest = 0;
-    let mut open: Vec<(usize, usize)> = if bvh.nodes.is_empty() { vec![] } else { vec![(0, 1)] };
-    while let Some((index, level)) = open.pop() {
-        deepest = deepest.max(level);
-        let node = &bvh.nodes[index];
-        open.extend((0..node.imask.count_ones()).map(|k| ((node.child_base_idx + k) as usize, level + 1)));
-    }
-    deepest
+    ReinsertionOptimizer::default().run(&mut binary, 0.05, None);
+    Wide::new(binary, |primitive| triangles[primitive as usize])
 }
 
 fn median_edge(triangles: &[(u32, [Vec3; 3])]) -> f32 {
@@ -310,6 +167,7 @@ fn center(triangles: &[(u32, [Vec3; 3])]) -> Vec3 {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use wide::Leaf;
 
     fn mesh(positions: Vec<Vec3>, triangles: Vec<[u32; 3]>) -> Mesh {
         Mesh { normals: vec![Vec3::Z; positions.len()], positions, triangles }
@@ -398,13 +256,14 @@ mod tests {
             let f = |k: i32| ((i * 7919 + k * 104_729) % 1000) as f32 / 500.0 - 1.0;
             let Some(d) = direction(f(1), f(2), f(3)) else { continue };
             let origin = Vec3::new(f(4), f(5), f(6)) * 2.0;
-            let ray = Sheared::new(Ray::new(origin.into(), d.into(), 0.0, f32::INFINITY));
+            let ray = Ray::new(origin.into(), d.into());
             let brute = cube
                 .triangles
                 .iter()
                 .filter_map(|t| {
-                    let [a, b, c] = t.map(|i| Vec3A::from(cube.positions[i as usize]));
-                    ray.intersect(&Corners::new(a, b, c)).map(|(t, ..)| t)
+                    let corners = t.map(|i| Vec3A::from(cube.positions[i as usize]));
+                    let (met, distance, _) = ray.triangles(&Leaf::new(std::iter::once((0, corners))), f32::MAX);
+                    (met == 1).then_some(distance.x)
                 })
                 .min_by(f32::total_cmp);
             let hit = scene.closest_hit(origin, d).map(|h| h.distance);
@@ -432,7 +291,7 @@ mod tests {
         let t = vec![[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [0, 0, 1], [0, 1, 99], [0, 1, 2]];
         let scene = Scene::new(&mesh(p, t));
         let hit = scene.closest_hit(Vec3::new(0.2, 0.2, 1.0), Vec3::NEG_Z).expect("a hit");
-        assert!(hit.triangle == 0 || hit.triangle == 6);
+        assert_eq!(hit.triangle, 0, "of two at the same place the first");
         assert!(!scene.occluded(Vec3::new(0.2, 0.2, 1.0), Vec3::Z));
         assert!(!scene.occluded(Vec3::splat(f32::NAN), Vec3::Z));
         assert!(!scene.occluded(Vec3::ZERO, Vec3::splat(f32::NAN)));
@@ -449,7 +308,6 @@ mod tests {
         nested.extend(same);
         let triangles = (0..nested.len() as u32 / 3).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
         let scene = Scene::new(&mesh(nested, triangles));
-        assert!(scene.depth > STACK, "the test means to go deep: {}", scene.depth);
         assert!(scene.closest_hit(Vec3::new(0.1, 0.1, 1.0), Vec3::NEG_Z).is_some());
         assert!(scene.occluded(Vec3::new(0.1, 0.1, -1.0), Vec3::Z));
     }
