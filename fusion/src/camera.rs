@@ -1,6 +1,7 @@
 //! The sensor's geometry as tracking and integration use it: undistorted pinholes and look-up maps.
 
 use crate::FusionError;
+use crate::integrate::MOST_PIXELS;
 use firmware_config::FusionConfig;
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use recordings::types::{CameraModel, Distortion, Pose, Sensor};
@@ -197,6 +198,10 @@ impl Rig {
     pub fn new(sensor: &Sensor, config: &FusionConfig) -> Result<Self, FusionError> {
         check(&sensor.color, "colour")?;
         check(&sensor.depth, "depth")?;
+        let k = &sensor.depth.intrinsics;
+        if (k.width as usize + 2) * (k.height as usize + 2) > MOST_PIXELS {
+            return Err(FusionError::BadSensor(format!("a depth image of {} × {} pixels", k.width, k.height)));
+        }
         if !(sensor.depth_unit_m.is_finite() && sensor.depth_unit_m > 1e-7 && sensor.depth_unit_m < 1.0) {
             return Err(FusionError::BadSensor(format!("depth unit of {} m", sensor.depth_unit_m)));
         }

@@ -5,7 +5,7 @@ use crate::camera::{Pinhole, Rig, Rigid};
 use crate::isa::{Hot, Isa, dispatch};
 use crate::volume::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use recordings::types::Pose;
 
@@ -22,6 +22,9 @@ const FORGET_FRAMES: u32 = 300;
 /// … unless something in it has this weight, in frames seen from 1 m.
 const WORTH_WEIGHT: f32 = 0.5;
 
+/// Most pixels of a depth image with its border, so that their numbers are exact in an f32 that is added to 2²³.
+pub const MOST_PIXELS: usize = 1 << 23;
+
 /// What integration needs to remember from frame to frame.
 pub struct Integrator {
     isa: Isa,
@@ -32,6 +35,7 @@ pub struct Integrator {
     frame: u32,
     max_weight: f32,
     recent: Vec<BlockCoord>,
+    bordered: Vec<f32>,
 }
 
 /// What integration did.
@@ -53,6 +57,7 @@ impl Integrator {
             frame: 0,
             max_weight: config.max_weight as f32 / WEIGHT_UNIT,
             recent: Vec::with_capacity(8),
+            bordered: Vec::new(),
         }
     }
 
@@ -62,7 +67,8 @@ impl Integrator {
         self.recycle(volume);
         let refused = self.allocate(volume, &rig.depth, depth, world_from_depth);
         self.mark_free_space(volume, &rig.depth, depth, world_from_depth);
-        let kernel = Kernel::new(&rig.depth, &world_from_depth.inverse(), volume, self.max_weight);
+        add_border(&rig.depth, depth, &mut self.bordered);
+        let kernel = Kernel::new(&rig.depth, &self.bordered, &world_from_depth.inverse(), volume, self.max_weight);
         let (frame, isa, stamp) = (self.frame, self.isa, &self.stamp);
         let (sdf, weight, coords) = volume.pool_mut();
         let blocks = sdf
@@ -74,7 +80,7 @@ impl Integrator {
                 for (i, _) in stamp.iter().enumerate().filter(|(_, s)| **s == frame) {
                     let at = i * VOXELS..(i + 1) * VOXELS;
                     let (sdf, weight) = (&mut sdf[at.clone()], &mut weight[at]);
-                    dispatch(isa, BlockUpdate { kernel: &kernel, depth, coord: coords[i], sdf, weight });
+                    dispatch(isa, BlockUpdate { kernel: &kernel, coord: coords[i], sdf, weight });
                     blocks += 1;
                 }
                 blocks
@@ -155,25 +161,24 @@ impl Integrator {
 }
 
 /// The update of one block with everything that is the same for all blocks of a frame.
-struct Kernel {
-    fx: f32,
-    fy: f32,
-    cx: f32,
-    cy: f32,
-    width: f32,
-    height: f32,
-    row: i32,
-    /// Camera coordinates of the world's origin and of one voxel step along each axis.
+struct Kernel<'a> {
+    /// Depth with a border of one pixel without depth, row-major.
+    depth: &'a [f32],
+    row: f32,
+    /// Largest pixel coordinates, those of the border.
+    last: (f32, f32),
+    /// Homogeneous pixel coordinates (u·z, v·z, z; the border's corner is the origin) of the world's origin, of one voxel
+    /// step along each axis, and of the voxels of a slice.
     origin: Vec3,
     step: [Vec3; 3],
+    slice: [[f32; SLICE]; 3],
     per_mu: f32,
     max_weight: f32,
 }
 
 /// The update of one block.
 struct BlockUpdate<'a> {
-    kernel: &'a Kernel,
-    depth: &'a [f32],
+    kernel: &'a Kernel<'a>,
     coord: BlockCoord,
     sdf: &'a mut [i16],
     weight: &'a mut [u16],
@@ -182,86 +187,106 @@ struct BlockUpdate<'a> {
 impl Hot for BlockUpdate<'_> {
     #[inline(always)]
     fn run(self) {
-        self.kernel.block(self.depth, self.coord, self.sdf, self.weight);
+        self.kernel.block(self.coord, self.sdf, self.weight);
     }
 }
 
+/// Voxels in a slice of a block.
+const SLICE: usize = EDGE * EDGE;
 /// The largest weight stored.
 const MOST_WEIGHT: f32 = 65535.0;
 
 /// Adding this to a small f32 leaves its nearest integer in the low bits.
 const MAGIC: f32 = 12_582_912.0;
 const MAGIC_BITS: i32 = 0x4B40_0000;
+/// The same for integers from 0 to [`MOST_PIXELS`].
+const INDEX_MAGIC: f32 = 8_388_608.0;
+const INDEX_MAGIC_BITS: u32 = 0x4B00_0000;
 
 #[inline(always)]
 fn round_to_int(x: f32) -> i32 {
     (x + MAGIC).to_bits() as i32 - MAGIC_BITS
 }
 
-impl Kernel {
-    fn new(camera: &Pinhole, depth_from_world: &Pose, volume: &Volume, max_weight: f32) -> Self {
+/// Copies a depth image, with a border of one pixel without depth around it.
+fn add_border(camera: &Pinhole, depth: &[f32], bordered: &mut Vec<f32>) {
+    let row = camera.width + 2;
+    bordered.resize(row * (camera.height + 2), 0.0);
+    for (to, from) in bordered.chunks_exact_mut(row).skip(1).zip(depth.chunks_exact(camera.width)) {
+        to[1..=camera.width].copy_from_slice(from);
+    }
+}
+
+impl<'a> Kernel<'a> {
+    fn new(camera: &Pinhole, depth: &'a [f32], depth_from_world: &Pose, volume: &Volume, max_weight: f32) -> Self {
         let t = Rigid::from(depth_from_world);
         let m = volume.voxel_m();
+        let to_pixel = Mat3::from_cols(
+            Vec3::new(camera.fx, 0.0, 0.0),
+            Vec3::new(0.0, camera.fy, 0.0),
+            Vec3::new(camera.cx + 1.0, camera.cy + 1.0, 1.0),
+        );
+        let step = [t.r.x_axis, t.r.y_axis, t.r.z_axis].map(|axis| to_pixel * (axis * m));
+        let within = |i: usize| step[0] * (i % EDGE) as f32 + step[1] * (i / EDGE) as f32;
         Self {
-            fx: camera.fx,
-            fy: camera.fy,
-            cx: camera.cx,
-            cy: camera.cy,
-            width: camera.width as f32 - 0.5,
-            height: camera.height as f32 - 0.5,
-            row: camera.width as i32,
-            origin: t.t,
-            step: [t.r.x_axis * m, t.r.y_axis * m, t.r.z_axis * m],
+            depth,
+            row: (camera.width + 2) as f32,
+            last: ((camera.width + 1) as f32, (camera.height + 1) as f32),
+            origin: to_pixel * t.t,
+            step,
+            slice: std::array::from_fn(|axis| std::array::from_fn(|i| within(i)[axis])),
             per_mu: 1.0 / volume.truncation_m(),
             max_weight,
         }
     }
 
     /// Updates one block, slice by slice (8 × 8 voxels): project, look up, average. The first and last step hold no
-    /// branch, so that the compiler vectorises them.
+    /// branch, so that the compiler vectorises them, and as few divisions as there can be: they are what costs.
     #[inline(always)]
-    fn block(&self, depth: &[f32], coord: BlockCoord, sdf: &mut [i16], weight: &mut [u16]) {
-        const SLICE: usize = EDGE * EDGE;
+    fn block(&self, coord: BlockCoord, sdf: &mut [i16], weight: &mut [u16]) {
         let base = (coord * EDGE as i32).as_vec3();
         let corner = self.origin + self.step[0] * base.x + self.step[1] * base.y + self.step[2] * base.z;
-        let mut pixel = [0i32; SLICE];
+        let mut pixel = [0u32; SLICE];
         let mut voxel_z = [0.0f32; SLICE];
         let mut measured = [0.0f32; SLICE];
         for (k, (sdf, weight)) in sdf.chunks_exact_mut(SLICE).zip(weight.chunks_exact_mut(SLICE)).enumerate() {
             let first = corner + self.step[2] * k as f32;
             for i in 0..SLICE {
-                let (x, y) = ((i % EDGE) as f32, (i / EDGE) as f32);
-                let px = first.x + self.step[1].x * y + self.step[0].x * x;
-                let py = first.y + self.step[1].y * y + self.step[0].y * x;
-                let pz = first.z + self.step[1].z * y + self.step[0].z * x;
-                let front = pz > 0.05;
-                let w = 1.0 / if front { pz } else { 1.0 };
-                let u = self.fx * px * w + self.cx;
-                let v = self.fy * py * w + self.cy;
-                let inside = front & (u > -0.5) & (v > -0.5) & (u < self.width) & (v < self.height);
-                let (u, v) = (if inside { u } else { 0.0 }, if inside { v } else { 0.0 });
-                let at = round_to_int(v) * self.row + round_to_int(u);
-                pixel[i] = if inside { at } else { -1 };
-                voxel_z[i] = pz;
+                let z = first.z + self.slice[2][i];
+                // What is behind the camera falls on the border, as does what is beside the image.
+                let w = if z > 0.05 { 1.0 / z } else { f32::NAN };
+                let u = (first.x + self.slice[0][i]) * w;
+                let v = (first.y + self.slice[1][i]) * w;
+                let u = if u > 0.0 { u } else { 0.0 };
+                let v = if v > 0.0 { v } else { 0.0 };
+                let u = if u < self.last.0 { u } else { self.last.0 };
+                let v = if v < self.last.1 { v } else { self.last.1 };
+                let at = ((v + INDEX_MAGIC) - INDEX_MAGIC) * self.row + u;
+                pixel[i] = (at + INDEX_MAGIC).to_bits().wrapping_sub(INDEX_MAGIC_BITS);
+                voxel_z[i] = z;
             }
             for i in 0..SLICE {
-                // −1 is beyond any image.
-                measured[i] = depth.get(pixel[i] as u32 as usize).copied().unwrap_or(0.0);
+                measured[i] = self.depth.get(pixel[i] as usize).copied().unwrap_or(0.0);
             }
             for i in 0..SLICE {
                 let d = measured[i];
                 let s = (d - voxel_z[i]) * self.per_mu;
                 let seen = (d > 0.0) & (s > -1.0);
                 let s = if s < 1.0 { s } else { 1.0 };
-                // One frame from 1 m weighs 1; further away less, as the noise grows.
+                // One frame from 1 m weighs ONE; further away less (ONE · σ(1 m) / σ(d)), as the noise grows, but at least 1.
+                const ONE_SIGMA: f32 = 0.001884 / WEIGHT_UNIT;
                 let far = d - 0.4;
-                let new = (0.001884 / WEIGHT_UNIT) / (0.0012 + 0.0019 * far * far);
-                let new = if new > 1.0 { new } else { 1.0 };
+                let sigma = 0.0012 + 0.0019 * far * far;
+                let sigma = if sigma < ONE_SIGMA { sigma } else { ONE_SIGMA };
                 // The weight tells how much was seen; what is new counts at least its share of `max_weight`.
                 let all = f32::from(weight[i]);
-                let old = if all < self.max_weight { all } else { self.max_weight };
-                let mean = (f32::from(sdf[i]) * old + s * SDF_ONE * new) / (old + new);
-                let sum = if all + new < MOST_WEIGHT { all + new } else { MOST_WEIGHT };
+                let old = (if all < self.max_weight { all } else { self.max_weight }) * sigma;
+                // new = ONE_SIGMA / sigma and mean = (sdf · old + s · new) / (old + new), with one division.
+                let both = old + ONE_SIGMA;
+                let r = 1.0 / (sigma * both);
+                let mean = (f32::from(sdf[i]) * old + s * (SDF_ONE * ONE_SIGMA)) * (sigma * r);
+                let sum = all + ONE_SIGMA * (both * r);
+                let sum = if sum < MOST_WEIGHT { sum } else { MOST_WEIGHT };
                 sdf[i] = if seen { round_to_int(mean) as i16 } else { sdf[i] };
                 weight[i] = if seen { round_to_int(sum) as u16 } else { weight[i] };
             }
