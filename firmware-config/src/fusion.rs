@@ -57,10 +57,12 @@ section! {
         max_step_m: f64 = 0.25, [0.01..=2.0], "m", "";
         /// Largest turn between two frames that is believed without looking for the camera anew.
         max_step_rad: f64 = 0.33, [0.01..=1.5], "rad", "";
-        /// How fast the delay of depth against colour is learnt beyond what the stamps say. 0 = the stamps are believed.
-        latency_gain: f64 = 0.2, [0.0..=1.0], "", "";
+        /// How fast the delay of depth against colour beyond what the stamps say is learnt, and the time that an image is read out in. 0 = the stamps are believed, and all rows are taken to be seen at once.
+        timing_gain: f64 = 1.0, [0.0..=1.0], "", "";
         /// Largest delay that is learnt.
         max_latency_ms: f64 = 30.0, [0.0..=100.0], "ms", "";
+        /// Longest time from an image's first row to its last that is learnt.
+        max_readout_ms: f64 = 35.0, [0.0..=100.0], "ms", "";
         /// Least share of the depth samples that must agree with the surface or the last frame for tracking to hold.
         min_fit: f64 = 0.35, [0.01..=0.9], "", "";
         /// Least correlation with the anchor's picture at which a lost camera counts as found.

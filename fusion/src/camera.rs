@@ -59,6 +59,12 @@ impl Pinhole {
         Vec3::new((u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0)
     }
 
+    /// A pixel's row as a share of the image's height: −½ at the upper edge, ½ at the lower.
+    #[inline(always)]
+    pub fn row(&self, v: f32) -> f32 {
+        (v + 0.5) / self.height as f32 - 0.5
+    }
+
     /// Index of the pixel a point falls on, if it falls on one.
     #[inline(always)]
     pub fn pixel(&self, p: Vec3) -> Option<usize> {

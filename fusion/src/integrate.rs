@@ -3,6 +3,7 @@
 
 use crate::camera::{Pinhole, Rig, Rigid};
 use crate::isa::{Hot, Isa, dispatch};
+use crate::shutter::Sweep;
 use crate::volume::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
 use glam::{Mat3, Vec3};
@@ -61,14 +62,24 @@ impl Integrator {
         }
     }
 
-    /// Averages a depth image (metres, row-major, 0 = none) seen from `world_from_depth` into the volume.
-    pub fn integrate(&mut self, volume: &mut Volume, rig: &Rig, depth: &[f32], world_from_depth: &Pose) -> Integrated {
+    /// Averages a depth image (metres, row-major, 0 = none) into the volume: its middle row is seen from
+    /// `world_from_depth`, the others on the way of `sweep`.
+    pub fn integrate(
+        &mut self,
+        volume: &mut Volume,
+        rig: &Rig,
+        depth: &[f32],
+        world_from_depth: &Pose,
+        sweep: &Sweep,
+    ) -> Integrated {
         self.frame = self.frame.wrapping_add(1);
         self.recycle(volume);
-        let refused = self.allocate(volume, &rig.depth, depth, world_from_depth);
+        let refused = self.allocate(volume, &rig.depth, depth, world_from_depth, sweep);
         self.mark_free_space(volume, &rig.depth, depth, world_from_depth);
         add_border(&rig.depth, depth, &mut self.bordered);
-        let kernel = Kernel::new(&rig.depth, &self.bordered, &world_from_depth.inverse(), volume, self.max_weight);
+        let kernel =
+            Kernel::new(&rig.depth, &self.bordered, &world_from_depth.inverse(), sweep, volume, self.max_weight);
+        let rolls = !sweep.is_still();
         let (frame, isa, stamp) = (self.frame, self.isa, &self.stamp);
         let (sdf, weight, coords) = volume.pool_mut();
         let blocks = sdf
@@ -80,7 +91,12 @@ impl Integrator {
                 for (i, _) in stamp.iter().enumerate().filter(|(_, s)| **s == frame) {
                     let at = i * VOXELS..(i + 1) * VOXELS;
                     let (sdf, weight) = (&mut sdf[at.clone()], &mut weight[at]);
-                    dispatch(isa, BlockUpdate { kernel: &kernel, coord: coords[i], sdf, weight });
+                    let (kernel, coord) = (&kernel, coords[i]);
+                    if rolls {
+                        dispatch(isa, BlockUpdate::<true> { kernel, coord, sdf, weight });
+                    } else {
+                        dispatch(isa, BlockUpdate::<false> { kernel, coord, sdf, weight });
+                    }
                     blocks += 1;
                 }
                 blocks
@@ -95,11 +111,19 @@ impl Integrator {
     }
 
     /// Takes blocks along each ray from truncation before to truncation behind the measured depth.
-    fn allocate(&mut self, volume: &mut Volume, camera: &Pinhole, depth: &[f32], world_from_depth: &Pose) -> u64 {
-        let t = Rigid::from(world_from_depth);
+    fn allocate(
+        &mut self,
+        volume: &mut Volume,
+        camera: &Pinhole,
+        depth: &[f32],
+        world_from_depth: &Pose,
+        sweep: &Sweep,
+    ) -> u64 {
         let mu = volume.truncation_m();
         let mut refused = 0;
         for v in (0..camera.height).step_by(ALLOCATION_STEP) {
+            let row = (v as f32 + 0.5) / camera.height as f32 - 0.5;
+            let t = Rigid::from(&world_from_depth.compose(&sweep.middle_from_row(row)));
             for u in (0..camera.width).step_by(ALLOCATION_STEP) {
                 let z = depth[v * camera.width + u];
                 if z <= 0.0 {
@@ -172,22 +196,26 @@ struct Kernel<'a> {
     origin: Vec3,
     step: [Vec3; 3],
     slice: [[f32; SLICE]; 3],
+    /// The same of what moves these coordinates from the first row to the last.
+    shift_origin: Vec3,
+    shift_step: [Vec3; 3],
+    shift_slice: [[f32; SLICE]; 3],
     per_mu: f32,
     max_weight: f32,
 }
 
 /// The update of one block.
-struct BlockUpdate<'a> {
+struct BlockUpdate<'a, const ROLLS: bool> {
     kernel: &'a Kernel<'a>,
     coord: BlockCoord,
     sdf: &'a mut [i16],
     weight: &'a mut [u16],
 }
 
-impl Hot for BlockUpdate<'_> {
+impl<const ROLLS: bool> Hot for BlockUpdate<'_, ROLLS> {
     #[inline(always)]
     fn run(self) {
-        self.kernel.block(self.coord, self.sdf, self.weight);
+        self.kernel.block::<ROLLS>(self.coord, self.sdf, self.weight);
     }
 }
 
@@ -218,7 +246,14 @@ fn add_border(camera: &Pinhole, depth: &[f32], bordered: &mut Vec<f32>) {
 }
 
 impl<'a> Kernel<'a> {
-    fn new(camera: &Pinhole, depth: &'a [f32], depth_from_world: &Pose, volume: &Volume, max_weight: f32) -> Self {
+    fn new(
+        camera: &Pinhole,
+        depth: &'a [f32],
+        depth_from_world: &Pose,
+        sweep: &Sweep,
+        volume: &Volume,
+        max_weight: f32,
+    ) -> Self {
         let t = Rigid::from(depth_from_world);
         let m = volume.voxel_m();
         let to_pixel = Mat3::from_cols(
@@ -227,14 +262,21 @@ impl<'a> Kernel<'a> {
             Vec3::new(camera.cx + 1.0, camera.cy + 1.0, 1.0),
         );
         let step = [t.r.x_axis, t.r.y_axis, t.r.z_axis].map(|axis| to_pixel * (axis * m));
-        let within = |i: usize| step[0] * (i % EDGE) as f32 + step[1] * (i / EDGE) as f32;
+        let shift_step = [t.r.x_axis, t.r.y_axis, t.r.z_axis].map(|axis| to_pixel * sweep.turn.cross(axis * m));
+        let slice = |step: &[Vec3; 3]| {
+            let within = |i: usize| step[0] * (i % EDGE) as f32 + step[1] * (i / EDGE) as f32;
+            std::array::from_fn(|axis| std::array::from_fn(|i| within(i)[axis]))
+        };
         Self {
             depth,
             row: (camera.width + 2) as f32,
             last: ((camera.width + 1) as f32, (camera.height + 1) as f32),
             origin: to_pixel * t.t,
             step,
-            slice: std::array::from_fn(|axis| std::array::from_fn(|i| within(i)[axis])),
+            slice: slice(&step),
+            shift_origin: to_pixel * sweep.shift(t.t),
+            shift_step,
+            shift_slice: slice(&shift_step),
             per_mu: 1.0 / volume.truncation_m(),
             max_weight,
         }
@@ -243,20 +285,36 @@ impl<'a> Kernel<'a> {
     /// Updates one block, slice by slice (8 × 8 voxels): project, look up, average. The first and last step hold no
     /// branch, so that the compiler vectorises them, and as few divisions as there can be: they are what costs.
     #[inline(always)]
-    fn block(&self, coord: BlockCoord, sdf: &mut [i16], weight: &mut [u16]) {
+    fn block<const ROLLS: bool>(&self, coord: BlockCoord, sdf: &mut [i16], weight: &mut [u16]) {
         let base = (coord * EDGE as i32).as_vec3();
         let corner = self.origin + self.step[0] * base.x + self.step[1] * base.y + self.step[2] * base.z;
+        let shift_corner =
+            self.shift_origin + self.shift_step[0] * base.x + self.shift_step[1] * base.y + self.shift_step[2] * base.z;
+        // A row v of the bordered image is seen at the instant a v + b.
+        let a = 1.0 / (self.last.1 - 1.0);
+        let b = -0.5 * a - 0.5;
         let mut pixel = [0u32; SLICE];
         let mut voxel_z = [0.0f32; SLICE];
         let mut measured = [0.0f32; SLICE];
         for (k, (sdf, weight)) in sdf.chunks_exact_mut(SLICE).zip(weight.chunks_exact_mut(SLICE)).enumerate() {
             let first = corner + self.step[2] * k as f32;
+            let shift = shift_corner + self.shift_step[2] * k as f32;
+            // When about the slice is seen.
+            let about = a * (first.y + self.slice[1][SLICE / 2]) / (first.z + self.slice[2][SLICE / 2]) + b;
             for i in 0..SLICE {
-                let z = first.z + self.slice[2][i];
+                let (mut x, mut y) = (first.x + self.slice[0][i], first.y + self.slice[1][i]);
+                let mut z = first.z + self.slice[2][i];
+                if ROLLS {
+                    // As in `Sweep::project`.
+                    let dx = shift.x + self.shift_slice[0][i];
+                    let dy = shift.y + self.shift_slice[1][i];
+                    let dz = shift.z + self.shift_slice[2][i];
+                    let s = a * ((y - b * dy) / (z - about * dz + a * dy)) + b;
+                    (x, y, z) = (x - s * dx, y - s * dy, z - s * dz);
+                }
                 // What is behind the camera falls on the border, as does what is beside the image.
                 let w = if z > 0.05 { 1.0 / z } else { f32::NAN };
-                let u = (first.x + self.slice[0][i]) * w;
-                let v = (first.y + self.slice[1][i]) * w;
+                let (u, v) = (x * w, y * w);
                 let u = if u > 0.0 { u } else { 0.0 };
                 let v = if v > 0.0 { v } else { 0.0 };
                 let u = if u < self.last.0 { u } else { self.last.0 };

@@ -6,10 +6,11 @@ mod extract;
 mod integrate;
 mod isa;
 mod keyframes;
-mod latency;
 mod pyramid;
 mod relocalise;
 mod rotate;
+mod shutter;
+mod timing;
 mod track;
 mod volume;
 
@@ -18,12 +19,13 @@ use firmware_config::FusionConfig;
 use glam::{DQuat, DVec3};
 use integrate::Integrator;
 use keyframes::Candidates;
-use latency::Latency;
 use nalgebra::Vector6;
 use pyramid::Frame;
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose, RgbdFrame, Sensor, TimestampNs};
 use relocalise::Anchors;
+use shutter::Motion;
+use timing::Timing;
 use track::{Alignment, Reference, Scene, Tracker};
 use volume::Volume;
 
@@ -83,6 +85,8 @@ const MIN_VALID: f32 = 0.03;
 const MAX_PREDICTION_S: f64 = 0.2;
 /// Frames over which the velocity is averaged that takes depth to the colour image's instant.
 const VELOCITY_FRAMES: usize = 4;
+/// Slowest motion from which instants are learnt, metres per second.
+const LEAST_SPEED: f64 = 0.03;
 /// Longest time between the images of a pair that is made up for by the motion, seconds.
 const MAX_STAMP_GAP_S: f64 = 0.1;
 /// Anchors tried per frame when lost.
@@ -134,7 +138,7 @@ pub struct Fusion {
     last_blocks: usize,
     /// Twist of the camera (translation, rotation) per second, camera axes.
     velocity: Vector6<f64>,
-    latency: Latency,
+    timing: Timing,
     /// Frames tracked one after another since the start or the last loss.
     streak: usize,
     anchors: Anchors,
@@ -165,7 +169,7 @@ impl Fusion {
             last_stamp: 0,
             last_blocks: 0,
             velocity: Vector6::zeros(),
-            latency: Latency::default(),
+            timing: Timing::default(),
             streak: 0,
             anchors: Anchors::new(config.max_anchors as usize),
             anchor: 0,
@@ -200,7 +204,9 @@ impl Fusion {
 
         // Depth to points and normals, colour to a grey pyramid.
         stage("preprocess", || self.frame.fill(frame, &self.rig, &self.config));
-        self.frame.synchronise(self.motion_from_depth_to_color(frame));
+        let (gap_s, readout_s) = (self.depth_gap(frame), self.timing.readout_s);
+        let velocity = self.recent_velocity().unwrap_or_default();
+        self.frame.synchronise(&Motion { velocity, gap_s, readout_s }, &self.rig);
         // Where is the camera?
         let found = stage("track", || match self.state {
             _ if self.is_blind() => None,
@@ -212,9 +218,11 @@ impl Fusion {
         let Some(pose) = found else { return Ok(self.lose()) };
         self.hold(&pose, stamp);
         // Depth into the volume.
-        let world_from_depth = pose.compose(&self.frame.color_from_depth_time).compose(&self.rig.color_from_depth);
+        let motion = self.frame.motion;
+        let world_from_depth = pose.compose(&motion.color_from_row(0.0)).compose(&self.rig.color_from_depth);
+        let sweep = motion.of_depth(&self.rig);
         let integrated = stage("integrate", || {
-            self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth)
+            self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth, &sweep)
         });
         self.stats.blocks_refused += integrated.refused;
         self.last_blocks = integrated.blocks;
@@ -244,6 +252,8 @@ impl Fusion {
             share: self.config.min_weight_share as f32,
             min_triangles: self.config.min_component_triangles as usize,
         };
+        let Timing { delay_s, readout_s, .. } = self.timing;
+        tracing::debug!(delay_s, readout_s, "instants as learnt");
         let mut stats = self.stats;
         stats.voxel_size_m = f64::from(self.volume.voxel_m());
         stats.blocks_used = self.volume.used() as u64;
@@ -292,14 +302,11 @@ impl Fusion {
         known.then(|| track::log(&first.inverse().compose(last)) / span)
     }
 
-    /// How the camera moves from the depth image's instant to the colour image's, by the velocity of the last frames.
-    fn motion_from_depth_to_color(&self, frame: &RgbdFrame) -> Pose {
+    /// From the depth image's instant to the colour image's, seconds; 0 if they are too far apart.
+    fn depth_gap(&self, frame: &RgbdFrame) -> f64 {
         let depth = frame.depth.timestamp_ns.saturating_add(self.rig.depth_to_color_offset_ns);
-        let gap = seconds(depth, frame.color.timestamp_ns) + self.latency.seconds();
-        match self.recent_velocity() {
-            Some(velocity) if gap.abs() <= MAX_STAMP_GAP_S => track::exp(&(velocity * -gap)),
-            _ => Pose::IDENTITY,
-        }
+        let gap = seconds(depth, frame.color.timestamp_ns) + self.timing.delay_s;
+        if gap.abs() <= MAX_STAMP_GAP_S { gap } else { 0.0 }
     }
 
     fn first_pose(&self) -> Pose {
@@ -328,6 +335,11 @@ impl Fusion {
             .iter()
             .map(|start| tracker.align(&self.scene(&self.reference), start, &predicted, effort.coarse))
             .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
+        // How fast it went is known better now than from the frames before.
+        if let Some(coarse) = &coarse {
+            let velocity = track::log(&last.inverse().compose(&coarse.world_from_camera)) / dt.max(1e-3);
+            self.frame.synchronise(&Motion { velocity, ..self.frame.motion }, &self.rig);
+        }
         let fine = coarse.and_then(|coarse| {
             let anchor = &self.anchors.get(self.anchor)?.reference;
             Some((coarse, tracker.align(&self.scene(anchor), &coarse.world_from_camera, &predicted, effort.fine)))
@@ -341,12 +353,16 @@ impl Fusion {
         let possible = way <= (self.config.max_speed_m_s * dt).min(self.config.max_step_m)
             && turn <= (self.config.max_turn_rad_s * dt).min(self.config.max_step_rad);
         let alike = self.looks_alike(&pose);
-        tracing::trace!(?coarse, ?fine, possible, alike, latency_s = self.latency.seconds(), "tracked");
+        tracing::trace!(?coarse, ?fine, possible, alike, timing = ?self.timing, "tracked");
         if !(possible && alike && self.holds(&coarse, &fine)) {
             return None;
         }
-        if let Some(velocity) = self.recent_velocity() {
-            self.latency.learn(&fine.terms, &velocity, &self.config);
+        if self.streak >= VELOCITY_FRAMES
+            && self.frame.motion.speed(self.frame.median_depth) > LEAST_SPEED
+            && let (Some(anchor), Some(step)) = (self.anchors.get(self.anchor), effort.fine.last())
+        {
+            let system = self.tracker.timing(&self.scene(&anchor.reference), &fine, step);
+            self.timing.learn(&system, &self.config);
         }
         Some(pose)
     }

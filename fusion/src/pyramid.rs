@@ -3,9 +3,10 @@
 
 use crate::camera::{DepthCorrection, LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
 use crate::isa::{Hot, Isa, dispatch};
+use crate::shutter::Motion;
 use firmware_config::FusionConfig;
 use glam::{Vec2, Vec3};
-use recordings::types::{Pose, RgbdFrame};
+use recordings::types::RgbdFrame;
 
 /// Depth neighbours further apart than this share of their depth lie on different surfaces.
 const JUMP: f32 = 0.05;
@@ -105,14 +106,16 @@ pub struct Frame {
     pub mean_grey: f32,
     /// Mean squared grey gradient over the variance: falls with motion blur, not with exposure.
     pub sharpness: f32,
-    /// Takes a point from the colour camera at the depth image's instant to the same camera at the colour image's.
-    pub color_from_depth_time: Pose,
+    /// How the camera moved while it took the frame.
+    pub motion: Motion,
     /// Share of the grid with a point and normal.
     pub valid: f32,
     /// Median depth of the grid, metres; 0 if there is none.
     pub median_depth: f32,
     raw_grey: Grey,
     raw_depth: Vec<f32>,
+    /// The grid, each row at the instant it was seen.
+    raw_grid: Vec<Surfel>,
     points: Vec<Vec3>,
     depths: Vec<f32>,
 }
@@ -128,6 +131,7 @@ impl Frame {
             grid: vec![Surfel::default(); grid],
             raw_grey: Grey::new(&rig.grey[0]),
             raw_depth: vec![0.0; pixels],
+            raw_grid: vec![Surfel::default(); grid],
             points: vec![Vec3::ZERO; grid],
             depths: Vec::with_capacity(grid),
             ..Self::default()
@@ -141,16 +145,16 @@ impl Frame {
         self.fill_grid(rig);
     }
 
-    /// Moves the grid from the depth image's instant to the colour image's, between which the camera moved by
-    /// `color_from_depth_time`.
-    pub fn synchronise(&mut self, color_from_depth_time: Pose) {
-        self.color_from_depth_time = color_from_depth_time;
-        if color_from_depth_time == Pose::IDENTITY {
-            return;
-        }
-        let t = Rigid::from(&color_from_depth_time);
-        for s in self.grid.iter_mut().filter(|s| s.p.z > 0.0) {
-            *s = Surfel { p: t.apply(s.p), n: t.r * s.n };
+    /// Moves the grid from the instants of its rows to the pose's, by the way that the camera is thought to go.
+    pub fn synchronise(&mut self, motion: &Motion, rig: &Rig) {
+        self.motion = *motion;
+        let rows = rig.grid.height as f64;
+        let width = rig.grid.width;
+        for (y, (grid, raw)) in self.grid.chunks_exact_mut(width).zip(self.raw_grid.chunks_exact(width)).enumerate() {
+            let t = Rigid::from(&motion.color_from_row((y as f64 + 0.5) / rows - 0.5));
+            for (s, raw) in grid.iter_mut().zip(raw) {
+                *s = if raw.p.z > 0.0 { Surfel { p: t.apply(raw.p), n: t.r * raw.n } } else { *raw };
+            }
         }
     }
 
@@ -276,7 +280,7 @@ impl Frame {
                 } else {
                     Vec3::ZERO
                 };
-                self.grid[i] = Surfel { p, n };
+                self.raw_grid[i] = Surfel { p, n };
                 if n != Vec3::ZERO {
                     self.depths.push(p.z);
                 }

@@ -7,15 +7,15 @@ use crate::camera::{LEVELS, Rig, Rigid, depth_sigma};
 use crate::pyramid::{Frame, Surfel};
 use crate::volume::{Cursor, Volume};
 use firmware_config::FusionConfig;
-use glam::{DQuat, DVec3, Vec3};
+use glam::{DQuat, DVec3, Vec2, Vec3};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 use rayon::prelude::*;
 use recordings::types::Pose;
 
 /// Points that a rayon task handles; fixed, so that sums have one order.
 const CHUNK: usize = 2048;
-/// Pose, brightness gain and brightness offset.
-const UNKNOWNS: usize = 8;
+/// Pose, brightness gain and brightness offset, read-out time.
+const UNKNOWNS: usize = 9;
 
 /// A point of a reference frame with the grey value it had there.
 #[derive(Debug, Clone, Copy, Default)]
@@ -65,11 +65,13 @@ const MIN_GRADIENT2: f32 = 9.0;
 
 /// From each cell of an 80 × 60 grid over the depth image, the sample with the strongest grey gradient at `level`.
 fn photo_points(frame: &Frame, rig: &Rig, level: usize, out: &mut Vec<PhotoPoint>) {
-    let to_color = Rigid::from(&frame.color_from_depth_time.compose(&rig.color_from_depth));
+    let sweep = frame.motion.of_color(rig);
     let step = (rig.grid_step << level).div_ceil(2).max(1);
     let per_cell = (1usize << (LEVELS - 1 - level)).max(1);
     let (columns, rows) = (rig.depth.width / (step * per_cell), rig.depth.height / (step * per_cell));
     for cy in 0..rows {
+        let row = ((cy as f64 + 0.5) / rows as f64) - 0.5;
+        let to_color = Rigid::from(&frame.motion.color_from_row(row).compose(&rig.color_from_depth));
         for cx in 0..columns {
             let mut best = (MIN_GRADIENT2, PhotoPoint::default());
             for k in 0..per_cell * per_cell {
@@ -80,7 +82,7 @@ fn photo_points(frame: &Frame, rig: &Rig, level: usize, out: &mut Vec<PhotoPoint
                     continue;
                 }
                 let p = to_color.apply(rig.depth.ray(u as f32, v as f32) * z);
-                let q = rig.grey[level].project(p);
+                let (_, q) = sweep.project(&rig.grey[level], p);
                 let Some(gradient) = frame.grey[level].smooth_gradient(q) else { continue };
                 let strength = gradient.length_squared();
                 if strength > best.0
@@ -138,6 +140,10 @@ impl System {
         }
     }
 
+    fn symmetric(&self, a: usize, c: usize) -> f64 {
+        self.h[a.min(c)][a.max(c)]
+    }
+
     fn merge(mut self, other: &Self) -> Self {
         for a in 0..UNKNOWNS {
             for c in a..UNKNOWNS {
@@ -165,19 +171,28 @@ struct Brightness {
     offset: f32,
 }
 
-/// The photometric system of a reference's points in the frame: r = I(π(x)) − (gain · I_ref + offset).
-fn photometric(
-    frame: &Frame,
-    rig: &Rig,
+/// Where and how the photometric term compares.
+struct Comparison<'a> {
+    frame: &'a Frame,
+    rig: &'a Rig,
     level: usize,
-    points: &[PhotoPoint],
-    camera_from_reference: &Pose,
+    points: &'a [PhotoPoint],
     brightness: Brightness,
     sigma: f32,
+}
+
+/// The photometric system of a reference's points in the frame: r = I(π(x)) − (gain · I_ref + offset). `columns` makes the
+/// residual's derivatives of those by pose, gain and offset, and of the pixel.
+fn photometric<const N: usize>(
+    comparison: &Comparison,
+    camera_from_reference: &Pose,
+    columns: impl Fn([f32; 8], Vec2) -> [f32; N] + Sync,
 ) -> System {
+    let Comparison { frame, rig, level, points, brightness, sigma } = *comparison;
     let t = Rigid::from(camera_from_reference);
     let camera = &rig.grey[level];
     let grey = &frame.grey[level];
+    let sweep = frame.motion.of_color(rig);
     sum_chunks(points, |points| {
         let mut system = System::ZERO;
         for point in points {
@@ -185,7 +200,8 @@ fn photometric(
             if x.z < 0.1 {
                 continue;
             }
-            let Some((value, gradient)) = grey.sample(camera.project(x)) else { continue };
+            let (x, q) = sweep.project(camera, x);
+            let Some((value, gradient)) = grey.sample(q) else { continue };
             let r = value - (brightness.gain * point.grey + brightness.offset);
             let iz = 1.0 / x.z;
             let (gx, gy) = (gradient.x * camera.fx * iz, gradient.y * camera.fy * iz);
@@ -195,7 +211,8 @@ fn photometric(
             let scaled = r / sigma;
             // Student's t with 5 degrees of freedom.
             let w = 6.0 / (5.0 + scaled * scaled) / (sigma * sigma);
-            system.add(&[-a.x, -a.y, -a.z, -c.x, -c.y, -c.z, -point.grey, -1.0], r, w);
+            let j = [-a.x, -a.y, -a.z, -c.x, -c.y, -c.z, -point.grey, -1.0];
+            system.add(&columns(j, q), r, w);
             system.count += 1;
             system.inliers += usize::from(scaled.abs() < 3.0);
             system.absolute += f64::from(r.abs());
@@ -213,11 +230,13 @@ pub fn likeness(scene: &Scene, world_from_camera: &Pose) -> Option<f32> {
     let t = Rigid::from(&world_from_camera.inverse().compose(&scene.reference.world_from_camera));
     let level = LEVELS - 1;
     let (camera, points) = (&scene.rig.grey[level], &scene.reference.photo[level]);
+    let sweep = scene.frame.motion.of_color(scene.rig);
     let seen: Vec<(f64, f64)> = points
         .iter()
         .filter_map(|point| {
             let x = t.apply(point.p);
-            let (value, _) = (x.z > 0.1).then(|| scene.frame.grey[level].sample(camera.project(x))).flatten()?;
+            let (value, _) =
+                (x.z > 0.1).then(|| scene.frame.grey[level].sample(sweep.project(camera, x).1)).flatten()?;
             Some((f64::from(point.grey), f64::from(value)))
         })
         .collect();
@@ -245,7 +264,13 @@ struct Association {
 }
 
 /// The point-to-plane system: r = n · (T p) − d, robust by Tukey's weights at `cut` standard deviations.
-fn geometric(associations: &[Association], world_from_camera: &Pose, cut: f32) -> System {
+/// `columns` makes the residual's derivatives of those by the pose, and of the point.
+fn geometric<const N: usize>(
+    associations: &[Association],
+    world_from_camera: &Pose,
+    cut: f32,
+    columns: impl Fn([f32; 6], Vec3) -> [f32; N] + Sync,
+) -> System {
     let t = Rigid::from(world_from_camera);
     let back = t.r.transpose();
     sum_chunks(associations, |associations| {
@@ -261,7 +286,7 @@ fn geometric(associations: &[Association], world_from_camera: &Pose, cut: f32) -
             }
             let m = back * a.n;
             let c = a.p.cross(m);
-            system.add(&[m.x, m.y, m.z, c.x, c.y, c.z], r, taper * taper / (sigma * sigma));
+            system.add(&columns([m.x, m.y, m.z, c.x, c.y, c.z], a.p), r, taper * taper / (sigma * sigma));
             system.inliers += usize::from(r.abs() < 3.0 * sigma);
             system.absolute += f64::from(r.abs());
         }
@@ -356,16 +381,10 @@ pub struct Alignment {
     pub photo_seen: f32,
     /// Smallest eigenvalue of the information matrix over the largest.
     pub condition: f64,
-    /// What geometry and picture each say about the pose.
-    pub terms: Terms,
-}
-
-/// The normal equations H δ = b of the two terms at the pose found, δ in units of `scale`.
-#[derive(Debug, Clone, Copy, Default)]
-pub struct Terms {
-    pub scale: Vector6<f64>,
-    pub geometric: (Matrix6<f64>, Vector6<f64>),
-    pub photometric: (Matrix6<f64>, Vector6<f64>),
+    /// Projector to the directions that the geometry observes.
+    observed: Matrix6<f64>,
+    brightness: Brightness,
+    sigma: f32,
 }
 
 impl Alignment {
@@ -429,7 +448,9 @@ impl Tracker {
             photo_error: 0.0,
             photo_seen: 0.0,
             condition: 0.0,
-            terms: Terms::default(),
+            observed: Matrix6::identity(),
+            brightness,
+            sigma: 0.0,
         };
         let floor = config.photometric_sigma as f32;
         let mut sigma = 4.0 * floor;
@@ -444,8 +465,9 @@ impl Tracker {
                 };
                 for _ in 0..2 {
                     let camera_from_reference = pose.inverse().compose(&reference.world_from_camera);
-                    let photo = photometric(frame, rig, step.level, points, &camera_from_reference, brightness, sigma);
-                    let geo = geometric(&self.associations, &pose, step.cut);
+                    let comparison = Comparison { frame, rig, level: step.level, points, brightness, sigma };
+                    let photo = photometric(&comparison, &camera_from_reference, |j, _| j);
+                    let geo = geometric(&self.associations, &pose, step.cut, |j, _| j);
                     let offset = log(&pose.inverse().compose(predicted));
                     let solution = solve(&geo, &photo, &offset, f64::from(frame.median_depth), config);
                     pose = pose.compose(&exp(&solution.delta));
@@ -456,7 +478,8 @@ impl Tracker {
                     out.photo_error = (photo.absolute / photo.count.max(1) as f64) as f32;
                     out.photo_seen = photo.count as f32 / points.len().max(1) as f32;
                     out.condition = solution.condition;
-                    out.terms = solution.terms;
+                    out.observed = solution.observed;
+                    (out.brightness, out.sigma) = (brightness, sigma);
                     sigma = (1.2533 * out.photo_error).clamp(floor, 8.0 * floor);
                     if solution.delta.norm() < 1e-5 {
                         break;
@@ -469,9 +492,83 @@ impl Tracker {
     }
 }
 
+/// Normal equations H x = b for x = (pose 6, delay of depth, read-out time), at a pose found: metres, radians, seconds.
+#[derive(Debug, Clone, Copy)]
+pub struct TimingSystem {
+    pub h: SMatrix<f64, 8, 8>,
+    pub b: SVector<f64, 8>,
+}
+
+impl Tracker {
+    /// What the frame just aligned says about instants. With the camera moving by the twist v per second, a depth that is
+    /// τ later than thought has residuals r + J (δ − τ v), the picture's stay r + J δ, and a read-out that takes T longer
+    /// than thought adds s T J v to those in row s = −½ … ½ of either image.
+    pub fn timing(&self, scene: &Scene, found: &Alignment, step: &Step) -> TimingSystem {
+        let Scene { frame, rig, reference, config, .. } = *scene;
+        let velocity = frame.motion.velocity;
+        let dot = |j: &[f32], v: &Vector6<f64>| j.iter().zip(v.iter()).map(|(j, v)| j * *v as f32).sum::<f32>();
+        let to_depth = Rigid::from(&rig.depth_from_color);
+        let seen = found.observed * velocity;
+        let geo = geometric(&self.associations, &found.world_from_camera, step.cut, |j, p| {
+            let row = rig.depth.row(rig.depth.project(to_depth.apply(p)).y);
+            let [a, b, c, d, e, f] = j;
+            [a, b, c, d, e, f, row * dot(&j, &seen)]
+        });
+        let camera_from_reference = found.world_from_camera.inverse().compose(&reference.world_from_camera);
+        let (points, level) = (&reference.photo[step.level], step.level);
+        let comparison = Comparison { frame, rig, level, points, brightness: found.brightness, sigma: found.sigma };
+        let photo = photometric(&comparison, &camera_from_reference, |j, q| {
+            let [a, b, c, d, e, f, gain, offset] = j;
+            [a, b, c, d, e, f, gain, offset, rig.grey[level].row(q.y) * dot(&j[..6], &velocity)]
+        });
+
+        // Each term's unknowns by the common ones: of the geometry only the directions that it observes, of the picture
+        // what is left with the brightness eliminated.
+        let mut from_geo = SMatrix::<f64, 8, 7>::zeros();
+        from_geo.fixed_view_mut::<6, 6>(0, 0).copy_from(&found.observed.transpose());
+        from_geo.fixed_view_mut::<1, 6>(6, 0).copy_from(&(-seen.transpose()));
+        from_geo[(7, 6)] = 1.0;
+        let h_geo = SMatrix::<f64, 7, 7>::from_fn(|a, c| geo.symmetric(a, c));
+        let b_geo = SVector::<f64, 7>::from_fn(|a, _| geo.b[a]);
+        let mut from_photo = SMatrix::<f64, 8, 7>::zeros();
+        from_photo.fixed_view_mut::<6, 6>(0, 0).fill_with_identity();
+        from_photo[(7, 6)] = 1.0;
+        let kept = [0, 1, 2, 3, 4, 5, 8];
+        let Eliminated { h, b, .. } = eliminate_brightness(&photo, &kept, config.photometric_weight);
+        TimingSystem {
+            h: from_geo * h_geo * from_geo.transpose() + from_photo * h * from_photo.transpose(),
+            b: from_geo * b_geo + from_photo * b,
+        }
+    }
+}
+
+/// A photometric system without its two brightness unknowns.
+struct Eliminated<const N: usize> {
+    h: SMatrix<f64, N, N>,
+    b: SVector<f64, N>,
+    /// The brightness that belongs to x is `offset` − `slope` x.
+    offset: SVector<f64, 2>,
+    slope: SMatrix<f64, 2, N>,
+}
+
+/// Eliminates gain and offset, which get a weak prior for frames without texture.
+fn eliminate_brightness<const N: usize>(photo: &System, kept: &[usize; N], weight: f64) -> Eliminated<N> {
+    let prior = SMatrix::<f64, 2, 2>::from_diagonal_element(1e-3);
+    let h_brightness = SMatrix::<f64, 2, 2>::from_fn(|a, c| weight * photo.symmetric(6 + a, 6 + c)) + prior;
+    let coupling = SMatrix::<f64, N, 2>::from_fn(|a, c| weight * photo.symmetric(kept[a], 6 + c));
+    let rhs = SVector::<f64, 2>::new(photo.b[6], photo.b[7]) * weight;
+    let inverse = h_brightness.try_inverse().unwrap_or_else(SMatrix::zeros);
+    let gain = coupling * inverse;
+    Eliminated {
+        h: SMatrix::from_fn(|a, c| weight * photo.symmetric(kept[a], kept[c])) - gain * coupling.transpose(),
+        b: SVector::from_fn(|a, _| weight * photo.b[kept[a]]) - gain * rhs,
+        offset: inverse * rhs,
+        slope: gain.transpose(),
+    }
+}
+
 struct Solution {
-    /// The two terms at the new pose.
-    terms: Terms,
+    observed: Matrix6<f64>,
     delta: Vector6<f64>,
     gain: f32,
     offset: f32,
@@ -485,32 +582,25 @@ fn solve(geo: &System, photo: &System, offset: &Vector6<f64>, depth: f64, config
     // Rotations are measured by the length they move a point at the median depth.
     let lever = depth.max(0.1);
     let scale = Vector6::new(1.0, 1.0, 1.0, 1.0 / lever, 1.0 / lever, 1.0 / lever);
-    let symmetric = |s: &System, a: usize, c: usize| s.h[a.min(c)][a.max(c)];
 
-    let eigen = Matrix6::from_fn(|a, c| symmetric(geo, a, c) * scale[a] * scale[c]).symmetric_eigen();
+    let eigen = Matrix6::from_fn(|a, c| geo.symmetric(a, c) * scale[a] * scale[c]).symmetric_eigen();
     let largest = eigen.eigenvalues.max().max(1e-9);
     let rhs = Vector6::from_fn(|a, _| geo.b[a] * scale[a]);
     let mut h = Matrix6::zeros();
     let mut b = Vector6::zeros();
+    let mut observed = Matrix6::zeros();
     for i in 0..6 {
         let axis = eigen.eigenvectors.column(i).into_owned();
         if eigen.eigenvalues[i] > config.unobserved_below * largest {
             h += axis * axis.transpose() * eigen.eigenvalues[i];
             b += axis * axis.dot(&rhs);
+            observed += axis * axis.transpose();
         }
     }
 
-    // The photometric term, its two brightness unknowns eliminated (they get a weak prior, for frames without texture).
-    let weight = config.photometric_weight;
-    let hbb =
-        SMatrix::<f64, 2, 2>::from_fn(|a, c| weight * symmetric(photo, 6 + a, 6 + c) + if a == c { 1e-3 } else { 0.0 });
-    let hpb = SMatrix::<f64, 6, 2>::from_fn(|a, c| weight * photo.h[a][6 + c] * scale[a]);
-    let bb = SVector::<f64, 2>::new(photo.b[6], photo.b[7]) * weight;
-    let inverse = hbb.try_inverse().unwrap_or_else(SMatrix::zeros);
-    let gain = hpb * inverse;
-    let h_photo =
-        Matrix6::from_fn(|a, c| weight * symmetric(photo, a, c) * scale[a] * scale[c]) - gain * hpb.transpose();
-    let b_photo = Vector6::from_fn(|a, _| weight * photo.b[a] * scale[a]) - gain * bb;
+    let units = Matrix6::from_diagonal(&scale);
+    let picture = eliminate_brightness(photo, &[0, 1, 2, 3, 4, 5], config.photometric_weight);
+    let (h_photo, b_photo) = (units * picture.h * units, units * picture.b);
 
     let prior = Vector6::from_fn(|a, _| {
         let sigma = if a < 3 { config.prior_sigma_m } else { config.prior_sigma_rad * lever };
@@ -520,10 +610,12 @@ fn solve(geo: &System, photo: &System, offset: &Vector6<f64>, depth: f64, config
     let step = (h + h_photo + Matrix6::from_diagonal(&prior))
         .cholesky()
         .map_or_else(Vector6::zeros, |c| c.solve(&(b + b_photo + pull)));
-    let brightness = inverse * (bb - hpb.transpose() * step);
+    let delta = step.component_mul(&scale);
+    let brightness = picture.offset - picture.slope * delta;
     Solution {
-        terms: Terms { scale, geometric: (h, b - h * step), photometric: (h_photo, b_photo - h_photo * step) },
-        delta: step.component_mul(&scale),
+        // Of twists in metres and radians.
+        observed: units * observed * Matrix6::from_diagonal(&scale.map(|s| 1.0 / s)),
+        delta,
         gain: brightness[0] as f32,
         offset: brightness[1] as f32,
         condition: eigen.eigenvalues.min() / largest,

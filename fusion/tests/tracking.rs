@@ -404,17 +404,48 @@ fn a_fast_turn_is_followed_through_motion_blur() {
         let a = 40.0 * (1.0 - libm::cos(0.12 * t));
         moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
     };
-    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let (rms, _) = moving_error(&sensor, &room, &pose, 64, 4, 0.0);
+    assert!(rms < 0.02, "{rms} m");
+}
+
+/// RMS error of the positions along a path, metres, and the largest; see `World::look_during`.
+fn moving_error(
+    sensor: &Sensor,
+    world: &World,
+    pose: &dyn Fn(f64) -> Pose,
+    frames: usize,
+    samples: usize,
+    readout: f64,
+) -> (f64, f64) {
+    let mut fusion = Fusion::new(sensor, &small_config()).unwrap();
     let mut first = None;
     let mut squares = Vec::new();
-    for i in 0..64 {
-        let frame = room.look_during(&sensor, &pose, i, 4);
+    for i in 0..frames {
+        let frame = world.look_during(sensor, pose, i, samples, readout);
         let found = fusion.push(&frame).unwrap().world_from_camera.expect("lost");
         let first: &Pose = first.get_or_insert(found);
         squares.push(error((first, &pose(0.0)), (&found, &pose(i as f64))).0.powi(2));
     }
     let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
-    assert!(rms < 0.02, "{rms} m");
+    (rms, squares.iter().copied().fold(0.0, f64::max).sqrt())
+}
+
+/// Rows read one after another shear what turns at up to 140° a second: how long that takes is learnt from the scan's first
+/// frames, and undone (without that, 4 and 8 cm).
+#[test]
+fn a_rolling_shutter_is_undone() {
+    let sensor = world::sensor(240, 180);
+    let room = world::room();
+    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
+    let pose = |t: f64| {
+        let a = 40.0 * (1.0 - libm::cos(0.12 * t));
+        moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
+    };
+    for (readout, most) in [(0.5, 0.01), (0.9, 0.02)] {
+        let (rms, worst) = moving_error(&sensor, &room, &pose, 80, 1, readout);
+        println!("{readout} of the frame time: {rms:.4} m, at worst {worst:.4}");
+        assert!(rms < most, "{readout}: {rms} m");
+    }
 }
 
 /// A ball on a floor has the same shape from all sides: a camera that stands elsewhere from one frame to the next must not

@@ -99,19 +99,27 @@ impl World {
 
     /// What the sensor sees from a pose, with the Kinect's depth noise, as frame number `index` of 30 a second.
     pub fn look(&self, sensor: &Sensor, pose: &Pose, index: usize) -> RgbdFrame {
-        self.look_during(sensor, &|_| *pose, index, 1)
+        self.look_during(sensor, &|_| *pose, index, 1, 0.0)
     }
 
     /// The same from a moving camera: `pose` after so many frames, colour the mean of `samples` instants while the shutter
-    /// is open.
-    pub fn look_during(&self, sensor: &Sensor, pose: &dyn Fn(f64) -> Pose, index: usize, samples: usize) -> RgbdFrame {
+    /// is open; from the first row to the last of both images it takes `readout` frames, the middle row at the stamp.
+    pub fn look_during(
+        &self,
+        sensor: &Sensor,
+        pose: &dyn Fn(f64) -> Pose,
+        index: usize,
+        samples: usize,
+        readout: f64,
+    ) -> RgbdFrame {
         /// How long the shutter is open, in frames.
         const SHUTTER: f64 = 0.6;
         let k = sensor.color.intrinsics;
         let (mut depth, mut data) = (Vec::new(), Vec::new());
         let open = |s: usize| index as f64 + SHUTTER * ((s as f64 + 0.5) / samples as f64 - 0.5);
-        let poses: Vec<Pose> = (0..samples).map(|s| pose(open(s))).collect();
         for v in 0..k.height {
+            let row = readout * ((f64::from(v) + 0.5) / f64::from(k.height) - 0.5);
+            let poses: Vec<Pose> = (0..samples).map(|s| pose(open(s) + row)).collect();
             for u in 0..k.width {
                 let ray = DVec3::new((f64::from(u) - k.cx) / k.fx, (f64::from(v) - k.cy) / k.fy, 1.0);
                 let noise = |salt: i32| {
