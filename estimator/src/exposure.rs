@@ -81,7 +81,8 @@ pub fn solve(
                 }
                 .into(),
                 evidence: format!(
-                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
+                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}; cost: {} patches",
+                    all.len()
                 ),
                 next_level: if use_rgb {
                     String::new()

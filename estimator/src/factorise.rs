@@ -43,7 +43,7 @@ pub struct Settings {
     pub bands: usize,
     /// Bands that may be taken instead where gloss had hidden them.
     pub most_bands: usize,
-    /// Bounces; 0 = until they no longer matter.
+    /// Bounces, the rest in proportion to them; 0 = until they no longer matter.
     pub bounces: u32,
     /// Solver.
     pub solver: SolverChoice,
@@ -76,7 +76,7 @@ pub fn factorise(
     let mut transfer = Transfer { traced, bounced: None };
     let bounce = |transfer: &mut Transfer, albedo: &[Vec3]| {
         if gi {
-            transfer.bounced = Some(transfer::bounce(&transfer.traced, albedo, bounces)); // Eq. (8)
+            transfer.bounced = Some(transfer::bounce_and_rest(&transfer.traced, albedo, bounces)); // Eq. (8)
         }
     };
     let solve = |transfer: &Transfer, bands: usize, start: Option<&Solution>| {

@@ -116,6 +116,9 @@ pub fn estimate_on(
             refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
         ready.decisions.extend(decisions);
         plan.specular_done(settings.bands);
+        if gloss.iter().any(|g| g.significant) {
+            found = stages::refine(&mut ready, found, &settings, config, options, &mut plan, progress);
+        }
     }
 
     // The assumption that it all rests on, and frames that no step used.

@@ -29,7 +29,7 @@ const PROBE_SECONDS: f64 = 1.8e-3;
 const PROBE_EVALUATIONS: u32 = 16_000;
 const PROBE_TASKS: u32 = 16;
 /// Slices at least.
-const LEAST_SLICES: u32 = 3;
+const LEAST_SLICES: u32 = 4;
 /// Where the budget may bind, the probe goes on for this share of it: a machine that is halted now and then is fast in
 /// between.
 const PROBE_SHARE: f64 = 0.04;
@@ -165,7 +165,8 @@ impl Shape {
         let mut cuts = Vec::new();
         let count = |n: u32| if n == 0 { "as many as matter".into() } else { n.to_string() };
         if self.bounces != before.bounces {
-            cuts.push(format!("bounces: {} instead of {}", self.bounces, count(before.bounces)));
+            let (now, before) = (self.bounces, count(before.bounces));
+            cuts.push(format!("bounces: {now} instead of {before}, the rest in proportion"));
         }
         if self.rays != before.rays {
             cuts.push(format!("rays: {} per vertex instead of {}", self.rays, before.rays));
@@ -234,23 +235,31 @@ impl<'a> Plan<'a> {
         self.shape.keyframe_stride = stride.max(1);
     }
 
-    /// Speed of this machine in reference seconds a second. `needed` is what there is to do.
+    /// Speed of this machine in reference seconds a second. `needed` is what there is to do. A slice that takes longest is
+    /// left out, as a machine may stall once; one that stalls again and again is as slow as that makes it.
     fn probe(&mut self, needed: f64) {
-        let start = self.machine.now();
-        let mut slices = 0;
+        let (mut slices, mut spent, mut longest) = (0, 0.0, 0.0f64);
+        let mut before = self.machine.now();
         loop {
             let evaluated: f32 = (0..PROBE_TASKS).into_par_iter().map(probe_slice).collect::<Vec<f32>>().iter().sum();
             std::hint::black_box(evaluated);
             self.machine.worked(PROBE_SECONDS);
             slices += 1;
-            let spent = (self.machine.now() - start).max(1e-9);
-            self.probed = f64::from(slices) * PROBE_SECONDS / spent;
-            let enough = needed < CLEARLY_ENOUGH * self.probed * (self.budget - self.machine.now());
-            if slices >= LEAST_SLICES && (enough || spent >= PROBE_SHARE * self.budget) {
+            let now = self.machine.now();
+            spent += now - before;
+            longest = longest.max(now - before);
+            before = now;
+            if slices < LEAST_SLICES {
+                continue;
+            }
+            let steady = (spent - longest).max(1e-9);
+            self.probed = f64::from(slices - 1) * PROBE_SECONDS / steady;
+            let enough = needed < CLEARLY_ENOUGH * self.probed * (self.budget - now);
+            if enough || steady >= PROBE_SHARE * self.budget {
                 break;
             }
         }
-        self.since = self.machine.now();
+        self.since = before;
         tracing::debug!("planning for a machine {:.2} times as fast as the reference", self.probed);
     }
 
@@ -384,9 +393,15 @@ impl<'a> Plan<'a> {
         }
     }
 
-    /// Fewer rays after some were given up; `None` if there is no time for any.
-    pub fn fewer_rays(&mut self, rays: u32) -> Option<u32> {
+    /// Fewer rays after some were given up, where that is more than those that are there already; `None` if there is no
+    /// time for any.
+    pub fn fewer_rays(&mut self, rays: u32, have: u32) -> Option<u32> {
         let fewer = rays / 4;
+        if have > 0 && fewer <= have {
+            self.cuts.push(format!("rays: {have} per vertex, since {rays} were not there in time"));
+            self.shape.rays = have;
+            return None;
+        }
         if fewer < LEAST_RAYS || self.machine.now() > self.rays_until() {
             self.cuts.push(format!("{ABANDONED}transfer with {rays} rays per vertex"));
             return None;

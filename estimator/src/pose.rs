@@ -124,12 +124,13 @@ impl Tracker {
             name: "pose".into(),
             choice: if refined { "refined" } else { "off" }.into(),
             evidence: format!(
-                "RMS step per round in pixels: {}; residual of edge pixels {:.4} at first, {:.4} at last",
+                "RMS step per round in pixels: {}; residual of edge pixels {:.4} at first, {:.4} at last; cost: {} rounds",
                 steps.join(", "),
                 self.first_residual,
-                self.last_residual
+                self.last_residual,
+                steps.len()
             ),
-            next_level: String::new(),
+            next_level: steps.last().map_or(String::new(), |s| format!("another round: a step of less than {s} px")),
         })
     }
 }

@@ -42,11 +42,11 @@ pub fn refit(
     let fit = |found: &Factorised, fields: &Association| {
         specular::fit(&reflection(mesh, scene, found), fields, segment, segments)
     };
-    let decision = |choice: &str, evidence: String| Decision {
+    let decision = |choice: &str, evidence: String, next_level: String| Decision {
         name: "specular".into(),
         choice: choice.into(),
         evidence,
-        next_level: String::new(),
+        next_level,
     };
     let matte = vec![Gloss::NONE; segments];
     let mut gloss = fit(&found, fields);
@@ -65,7 +65,7 @@ pub fn refit(
     let glossy = gloss.iter().filter(|g| g.significant).count();
     if glossy == 0 {
         let evidence = format!("no weight stands out of its error in {segments} segments{exposed}");
-        return (found, gloss, vec![decision("none", evidence)]);
+        return (found, gloss, vec![decision("none", evidence, String::new())]);
     }
 
     let judge = |f: &Factorised, gloss: &[Gloss]| {
@@ -102,14 +102,20 @@ pub fn refit(
     }
     let evidence = format!(
         "{glossy} of {segments} segments; mean relative error against the keyframes: {:.4} without gloss, {} with \
-         it{exposed}",
+         it{exposed}; cost: {} factorisations",
         without.error(),
-        list(&told)
+        list(&told),
+        told.len()
     );
     if !holds {
-        return (found, matte, vec![decision("none", evidence)]);
+        let next_level = format!("without gloss: {:.4} instead of {:.4}", told[0], without.error());
+        return (found, matte, vec![decision("none", evidence, next_level)]);
     }
-    let mut decisions = vec![decision("lit colours cleaned of gloss and factorised once more", evidence)];
+    let next_level = match told.last() {
+        Some(last) if *last > best.prediction.error() => format!("once more: {last:.4}"),
+        _ => String::new(),
+    };
+    let mut decisions = vec![decision("lit colours cleaned of gloss and factorised once more", evidence, next_level)];
     let first = best.settings.bands;
     while best.settings.bands + 2 <= settings.most_bands {
         let before = best.settings.bands;
@@ -126,10 +132,11 @@ pub fn refit(
             name: "bands without gloss".into(),
             choice: best.settings.bands.to_string(),
             evidence: format!(
-                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}",
+                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}; cost: {} factorisations",
                 errors[0],
                 list(&errors[1..]),
-                more.bands
+                more.bands,
+                errors.len() - 1
             ),
             next_level: format!("{first} bands were chosen before gloss was known"),
         });

@@ -1,10 +1,11 @@
 //! Model only what the scene requires (DESIGN §7): bands, transfer and rays by evidence from this scene.
 
 use crate::albedo::Detail;
-use crate::factorise::{self, Colors, MID_GREY};
+use crate::factorise::{self, Colors, Factorised, MID_GREY};
 use crate::inverse::{self, DARK_FLOOR, Observed, Solution};
 use crate::robust::{Gain, median};
 use crate::scene::Scene;
+use crate::sh;
 use crate::transfer::{self, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
@@ -56,6 +57,12 @@ pub fn rays(traced: &Traced, held_out: f64) -> u32 {
     rays
 }
 
+/// Mean relative error of an answer on vertices that were left out of it.
+#[must_use]
+pub fn held_out(found: &Factorised, evidence: &Colors) -> f64 {
+    mean(&left_out(evidence, &floors(evidence), &found.solution.albedo, &found.irradiance))
+}
+
 /// Rays are traced if more are blocked than colours err.
 #[must_use]
 pub fn is_open(config: &EstimatorConfig, blocked: f64) -> bool {
@@ -83,10 +90,18 @@ pub fn grey_bounce(traced: &Traced) -> f64 {
     transfer::bounce(traced, &vec![Vec3::splat(MID_GREY); traced.vertices()], 1).share
 }
 
-/// The fewest bands that nothing above predicts the held-out vertices significantly better than, at most `most`.
+/// The fewest bands of a range that nothing above in it predicts the held-out vertices significantly better than.
 #[must_use]
-pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, most: usize) -> Selected {
-    let bounced = gi.then(|| transfer::bounce(traced, &vec![Vec3::splat(MID_GREY); traced.vertices()], bounces));
+pub fn bands(
+    traced: &Arc<Traced>,
+    evidence: &Colors,
+    gi: bool,
+    bounces: u32,
+    range: std::ops::RangeInclusive<usize>,
+) -> Selected {
+    let (least, most) = range.into_inner();
+    let grey = || vec![Vec3::splat(MID_GREY); traced.vertices()];
+    let bounced = gi.then(|| transfer::bounce_and_rest(traced, &grey(), bounces));
     let transfer = Transfer { traced: Arc::clone(traced), bounced };
     let observed = Observed {
         transfer: &transfer,
@@ -99,7 +114,7 @@ pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, mo
     let level = |n: usize| Level::new(&observed, evidence, &floors, n);
     let mut tried = Vec::new();
     let mut note = |l: &Level| tried.push((l.bands, l.error()));
-    let mut best = level(UPWARD[0].min(most));
+    let mut best = level(UPWARD[0].clamp(least, most));
     note(&best);
     let mut next: Option<(usize, Gain)> = None;
     let mut without = 0;
@@ -118,7 +133,7 @@ pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, mo
     }
     if best.bands <= UPWARD[0] {
         let first = best.bands;
-        for n in DOWNWARD.into_iter().filter(|n| *n < first) {
+        for n in DOWNWARD.into_iter().filter(|n| (least..first).contains(n)) {
             let lower = level(n);
             note(&lower);
             let gain = best.gain_over(&lower);
@@ -132,8 +147,10 @@ pub fn bands(traced: &Arc<Traced>, evidence: &Colors, gi: bool, bounces: u32, mo
     tried.sort_unstable_by_key(|t| t.0);
     let tried: Vec<String> = tried.iter().map(|(n, e)| format!("{n}: {e:.4}")).collect();
     let chosen = best.bands;
-    let next_level = next
-        .map_or(String::new(), |(n, g)| format!("{n} bands: held-out error lower by {:.5} ± {:.5}", g.mean, g.error));
+    let next_level = next.map_or_else(
+        || if most < sh::MAX_BANDS { format!("more than {most} bands: on request") } else { String::new() },
+        |(n, g)| format!("{n} bands: held-out error lower by {:.5} ± {:.5}", g.mean, g.error),
+    );
     let condition = best.condition;
     let decision = Decision {
         name: "bands".into(),
@@ -178,11 +195,47 @@ fn is_significant(gain: &Gain) -> bool {
     gain.mean > SIGNIFICANT * gain.error && gain.mean > LEAST_GAIN
 }
 
+/// A block that was left out, with the sum of its relative errors and its vertices.
+type Block = (u32, f64, f64);
+
+fn mean(blocks: &[Block]) -> f64 {
+    let (sum, count) = blocks.iter().fold((0.0, 0.0), |(s, n), b| (s + b.1, n + b.2));
+    sum / f64::max(count, 1.0)
+}
+
+/// What light and segments' albedo leave unexplained of the vertices that were left out.
+fn left_out(evidence: &Colors, floors: &[f64], albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<Block> {
+    let errors: Vec<Option<(u32, f64)>> = (0..evidence.lit_color.len())
+        .into_par_iter()
+        .map(|i| {
+            let block = inverse::held_out_block(i as u32)?;
+            let f = evidence.lit_color[i];
+            if evidence.lit_weight[i] <= 0.0 || !f.is_finite() || f.max_element() <= 0.0 {
+                return None;
+            }
+            let segment = evidence.segment[i] as usize;
+            let size = (f64::from(f.element_sum()) / 3.0).max(floors[segment]);
+            let off = |c: usize| (f64::from(f[c]) - albedo[segment][c] * f64::from(irradiance[i][c])).abs();
+            Some((block, ((off(0) + off(1) + off(2)) / (3.0 * size)).min(CAPPED)))
+        })
+        .collect();
+    let mut blocks: Vec<Block> = Vec::new();
+    for (block, error) in errors.into_iter().flatten() {
+        match blocks.last_mut() {
+            Some(last) if last.0 == block => {
+                last.1 += error;
+                last.2 += 1.0;
+            }
+            _ => blocks.push((block, error, 1.0)),
+        }
+    }
+    blocks
+}
+
 /// One number of bands, and how well it predicts what was left out.
 struct Level {
     bands: usize,
-    /// Every block that was left out, with the sum of its relative errors and its vertices.
-    blocks: Vec<(u32, f64, f64)>,
+    blocks: Vec<Block>,
     condition: f64,
     solution: Solution,
 }
@@ -191,37 +244,12 @@ impl Level {
     fn new(observed: &Observed, evidence: &Colors, floors: &[f64], bands: usize) -> Self {
         let solution = inverse::solve(observed, bands, None);
         let irradiance = observed.transfer.irradiance(&solution.light);
-        let errors: Vec<Option<(u32, f64)>> = (0..evidence.lit_color.len())
-            .into_par_iter()
-            .map(|i| {
-                let block = inverse::held_out_block(i as u32)?;
-                let f = evidence.lit_color[i];
-                if evidence.lit_weight[i] <= 0.0 || !f.is_finite() || f.max_element() <= 0.0 {
-                    return None;
-                }
-                let segment = evidence.segment[i] as usize;
-                let albedo = solution.albedo[segment];
-                let size = (f64::from(f.element_sum()) / 3.0).max(floors[segment]);
-                let off = |c: usize| (f64::from(f[c]) - albedo[c] * f64::from(irradiance[i][c])).abs();
-                Some((block, ((off(0) + off(1) + off(2)) / (3.0 * size)).min(CAPPED)))
-            })
-            .collect();
-        let mut blocks: Vec<(u32, f64, f64)> = Vec::new();
-        for (block, error) in errors.into_iter().flatten() {
-            match blocks.last_mut() {
-                Some(last) if last.0 == block => {
-                    last.1 += error;
-                    last.2 += 1.0;
-                }
-                _ => blocks.push((block, error, 1.0)),
-            }
-        }
+        let blocks = left_out(evidence, floors, &solution.albedo, &irradiance);
         Self { bands, blocks, condition: solution.condition, solution }
     }
 
     fn error(&self) -> f64 {
-        let (sum, count) = self.blocks.iter().fold((0.0, 0.0), |(s, n), b| (s + b.1, n + b.2));
-        sum / f64::max(count, 1.0)
+        mean(&self.blocks)
     }
 
     /// How much lower the error is than with `other`, over the same blocks.

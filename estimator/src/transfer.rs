@@ -327,66 +327,99 @@ fn cosine_lobe(normal: Vec3, row: &mut [f32]) {
 /// geometric.
 #[must_use]
 pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
-    let count = traced.blocked.len();
-    let k = traced.bands * traced.bands;
-    let direct = |i: usize| &traced.direct[i * k..i * k + k.min(INDIRECT)];
-    let scale = 1.0 / traced.hit_rays.max(1) as f32;
-    let mut radiosity = vec![0.0f32; count * ROW];
-    let mut rows = vec![0.0f32; count * ROW];
+    let mut rows = vec![0.0f32; traced.vertices() * ROW];
     let most = if bounces == 0 { MOST_BOUNCES } else { bounces };
+    let Series { bounces, share, last_share } = series::<INDIRECT>(traced, albedo, &mut rows, most, bounces == 0);
+    Bounced { rows, bounces, share, last_share }
+}
+
+/// The same where `bounces` are fewer than matter: how much more light all of them bring under a uniform sky, vertex by
+/// vertex, costs little, since it has one coefficient, and the others are taken to grow with it.
+#[must_use]
+pub fn bounce_and_rest(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
+    let mut bounced = bounce(traced, albedo, bounces);
+    if bounces > 0 {
+        let first: Vec<f32> = bounced.rows.iter().step_by(INDIRECT).copied().collect();
+        let mut all = first.clone();
+        bounced.share = series::<1>(traced, albedo, &mut all, MOST_BOUNCES, true).share;
+        for ((row, first), all) in bounced.rows.chunks_mut(INDIRECT).zip(first).zip(all) {
+            if first > 0.0 {
+                row.iter_mut().for_each(|t| *t *= all / first);
+            }
+        }
+    }
+    bounced
+}
+
+/// What a series of bounces came to.
+struct Series {
+    bounces: u32,
+    share: f64,
+    last_share: f64,
+}
+
+/// Bounces the first `K` coefficients on from what stands in `rows`: `[vertex][channel][K]`. `ends` once a bounce no
+/// longer matters, or at the last one with the rest of the series.
+fn series<const K: usize>(traced: &Traced, albedo: &[Vec3], rows: &mut [f32], most: u32, ends: bool) -> Series {
+    let count = traced.vertices();
+    let k = traced.bands * traced.bands;
+    let direct = |i: usize| &traced.direct[i * k..i * k + k.min(K)];
+    let scale = 1.0 / traced.hit_rays.max(1) as f32;
     let direct_norm =
         libm::sqrt((0..count).map(|i| f64::from(direct(i).first().copied().unwrap_or(0.0)).powi(2)).sum());
-    let (mut made, mut share, mut last, mut before) = (0, 0.0, 0.0, 0.0);
+    let (mut bounces, mut share, mut last, mut before) = (0, 0.0, 0.0, 0.0);
     if traced.corners.is_empty() || direct_norm == 0.0 {
-        return Bounced { rows, bounces: 0, share, last_share: last };
+        return Series { bounces, share, last_share: last };
     }
-    while made < most {
+    let mut radiosity = vec![0.0f32; count * 3 * K];
+    while bounces < most {
         // Radiosity of every vertex: its albedo times all that arrives so far.
-        radiosity.par_chunks_mut(ROW).zip(rows.par_chunks(ROW)).enumerate().for_each(|(i, (out, row))| {
+        radiosity.par_chunks_mut(3 * K).zip(rows.par_chunks(3 * K)).enumerate().for_each(|(i, (out, row))| {
             let direct = direct(i);
             for c in 0..3 {
                 let a = albedo[i][c];
                 for j in 0..direct.len() {
-                    out[c * INDIRECT + j] = a * (direct[j] + row[c * INDIRECT + j]);
+                    out[c * K + j] = a * (direct[j] + row[c * K + j]);
                 }
             }
         });
         // The last bounce takes the rest of the series with it, which by then is geometric: what is reflected in a closed
         // white room would need thousands.
         let ratio: f64 = if before > 0.0 { (last / before).min(MOST_RATIO) } else { 0.0 };
-        let rest = if bounces == 0 && made + 1 == most { (ratio / (1.0 - ratio)) as f32 } else { 0.0 };
+        let rest = if ends && bounces + 1 == most { (ratio / (1.0 - ratio)) as f32 } else { 0.0 };
         let changes: Vec<[f64; 2]> = rows
-            .par_chunks_mut(ROW * BLOCK)
+            .par_chunks_mut(3 * K * BLOCK)
             .enumerate()
             .map(|(block, rows)| {
                 let mut change = [0.0; 2];
-                for (j, row) in rows.chunks_mut(ROW).enumerate() {
+                for (j, row) in rows.chunks_mut(3 * K).enumerate() {
                     let i = block * BLOCK + j;
-                    let mut sum = [0.0f32; ROW];
+                    let mut sums = [[0.0f32; K]; 3];
+                    let sum = sums.as_flattened_mut();
                     for &corner in &traced.corners[traced.offsets[i] as usize..traced.offsets[i + 1] as usize] {
-                        let from = &radiosity[corner as usize * ROW..][..ROW];
+                        let from = &radiosity[corner as usize * 3 * K..][..3 * K];
                         sum.iter_mut().zip(from).for_each(|(s, x)| *s += x);
                     }
-                    for (c, old) in row.iter().step_by(INDIRECT).enumerate() {
-                        let new = f64::from(sum[c * INDIRECT] * scale);
+                    for (c, old) in row.iter().step_by(K).enumerate() {
+                        let new = f64::from(sum[c * K] * scale);
                         change[0] += (new - f64::from(*old)).powi(2) / 3.0;
                         change[1] += new.powi(2) / 3.0;
                     }
-                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = s * scale + (s * scale - *r) * rest);
+                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = *s * scale + (*s * scale - *r) * rest);
                 }
                 change
             })
             .collect();
         let [change, size] = changes.iter().fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]).map(libm::sqrt);
-        made += 1;
+        bounces += 1;
         before = last;
         last = change / direct_norm;
         share = size / direct_norm;
-        if bounces == 0 && last < BOUNCE_TOLERANCE {
+        if ends && last < BOUNCE_TOLERANCE {
             break;
         }
     }
-    Bounced { rows, bounces: made, share, last_share: last }
+    Series { bounces, share, last_share: last }
 }
 
 impl Traced {
@@ -504,5 +537,23 @@ mod tests {
         let (all, few) = (bounced(512), bounced(32));
         assert!(all.0 > 0.05 && (few.0 / all.0 - 1.0).abs() < 0.02, "{all:?} {few:?}");
         assert_eq!(all.1, few.1, "what is blocked does not hang on what is held");
+    }
+
+    #[test]
+    fn one_bounce_and_the_rest_come_near_all_of_them() {
+        let mesh = corner(24);
+        let traced = Arc::new(trace(&mesh, &Scene::new(&mesh), 5, 128, 1, &|_| ()));
+        let albedo: Vec<Vec3> = mesh.normals.iter().map(|n| Vec3::new(0.9, 0.6, 0.3) * n.abs().x.max(0.7)).collect();
+        let light = [[0.8; 3], [0.1; 3], [0.5; 3], [-0.2; 3], [0.0; 3], [0.2; 3], [-0.1; 3], [0.1; 3], [0.3; 3]];
+        let arriving = |bounced| Transfer { traced: Arc::clone(&traced), bounced: Some(bounced) }.irradiance(&light);
+        let all = arriving(bounce(&traced, &albedo, 0));
+        let off = |some: Vec<Vec3>| {
+            let worst = all.iter().zip(&some).map(|(a, s)| ((*s - *a) / *a).abs().max_element());
+            worst.fold(0.0, f32::max)
+        };
+        let one = off(arriving(bounce(&traced, &albedo, 1)));
+        let rest = off(arriving(bounce_and_rest(&traced, &albedo, 1)));
+        assert!(one > 0.03, "later bounces matter here: {one}");
+        assert!(rest < 0.3 * one, "{rest} instead of {one}");
     }
 }

@@ -109,7 +109,7 @@ section! {
         transfer: TransferChoice = TransferChoice::Auto, [()], "", "Eq. (8)";
         /// Rays per vertex; 0 = by standard error.
         rays: u32 = 0, [0..=65536], "", "N";
-        /// Light bounces in gi transfer; 0 = until they no longer matter.
+        /// Light bounces in gi transfer, the rest in proportion to them; 0 = until they no longer matter.
         bounces: u32 = 0, [0..=64], "", "";
         /// Share of blocked rays from which interreflection is modelled by default.
         gi_from_blocked: f64 = 0.02, [0.0..=1.0], "", "";

@@ -105,6 +105,25 @@ fn stalls_are_survived_wherever_they_come() {
 }
 
 #[test]
+fn a_stall_while_the_machine_is_measured_makes_it_no_slow_machine() {
+    let machine = Simulated::new(1.0, &[(0.003, 10.0)]);
+    let e = run(&corner(), &machine, 120.0);
+    assert!(machine.now() > 10.0, "it stalled");
+    assert!(e.cuts.is_empty(), "{:?}", e.cuts);
+}
+
+#[test]
+fn a_machine_that_is_halted_again_and_again_is_slow() {
+    let stalls: Vec<(f64, f64)> = (0..40).map(|second| (f64::from(second) + 0.25, 0.75)).collect();
+    let machine = Simulated::new(0.2, &stalls);
+    let e = run(&corner(), &machine, 30.0);
+    let now = machine.now();
+    println!("a quarter of 0.2 of the reference: {now:.1} s, cuts {:?}", e.cuts);
+    assert!(now <= 30.0, "{now} s");
+    assert!(!e.cuts.iter().any(|c| c.starts_with(ABANDONED)), "planned, not abandoned: {:?}", e.cuts);
+}
+
+#[test]
 fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
@@ -116,10 +135,12 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     stall(20.0);
     assert!(!watch(0.15), "at this pace they would take minutes");
     drop(watch);
-    assert_eq!(plan.fewer_rays(64), Some(16));
+    assert_eq!(plan.fewer_rays(64, 0), Some(16));
     assert!(plan.cuts.iter().any(|c| c.starts_with("rays: 16")), "{:?}", plan.cuts);
     stall(19.5);
-    assert_eq!(plan.fewer_rays(16), None, "no time for any");
+    assert_eq!(plan.fewer_rays(256, 64), None, "a quarter of them is there already");
+    assert!(plan.cuts.iter().any(|c| c.starts_with("rays: 64")), "{:?}", plan.cuts);
+    assert_eq!(plan.fewer_rays(16, 0), None, "no time for any");
     assert!(plan.cuts.iter().any(|c| c.starts_with(ABANDONED)), "{:?}", plan.cuts);
 }
 
