@@ -5,7 +5,7 @@
 pub mod plot;
 mod truth;
 
-pub use truth::Truth;
+pub use truth::{Answer, Truth};
 
 use crate::albedo::Detail;
 use crate::factorise::{Factorised, Settings, factorise};
@@ -205,13 +205,13 @@ impl Sweep<'_> {
         let ready = &mut shared.ready;
         let settled = stages::settle(ready, traced, self.config, &UNLIMITED, &mut plan, self.progress);
         let spent = self.clock.now() - before;
-        self.point(name, shared, &(settled.traced, spent), settled.settings, settled.start);
+        self.point(name, shared, &(settled.traced, spent), settled.settings, settled.start, Some(&mut plan));
     }
 
     fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: &str, bands: usize) {
         let settings =
             Settings { gi: transfer == "gi", bands, most_bands: bands, bounces: 0, solver: SolverChoice::Robust };
-        self.point("grid", shared, traced, settings, None);
+        self.point("grid", shared, traced, settings, None, None);
     }
 
     /// The paper's own update: its setting, and the same and the nonsegmented one with the bands of `auto`.
@@ -222,7 +222,8 @@ impl Sweep<'_> {
             ("literal", auto, SolverChoice::Literal),
             ("nonsegmented", auto, SolverChoice::Nonsegmented),
         ] {
-            self.point(name, shared, traced, Settings { gi: true, bands, most_bands: bands, bounces: 0, solver }, None);
+            let settings = Settings { gi: true, bands, most_bands: bands, bounces: 0, solver };
+            self.point(name, shared, traced, settings, None, None);
         }
     }
 
@@ -233,6 +234,7 @@ impl Sweep<'_> {
         traced: &(Arc<Traced>, f64),
         settings: Settings,
         start: Option<(Solution, Detail)>,
+        by_itself: Option<&mut Plan>,
     ) {
         if self.is_over() {
             return;
@@ -244,17 +246,21 @@ impl Sweep<'_> {
         let before = self.clock.now();
         let mut found = factorise(Arc::clone(&traced.0), &ready.colors(), &settings, start);
         if self.config.specular != Switch::Off {
-            (found, _, _) =
+            let gloss;
+            (found, gloss, _) =
                 refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
+            if let Some(plan) = by_itself.filter(|_| gloss.iter().any(|g| g.significant)) {
+                found = stages::refine(ready, found, &settings, self.config, &UNLIMITED, plan, self.progress);
+            }
         }
         let seconds = shared.seconds + traced.1 + self.clock.now() - before;
         let (albedo_error, irradiance_error) = self.errors(ready, &found);
         ready.fields = fields;
         self.points.push(Point {
             name: name.into(),
-            bands: settings.bands,
+            bands: found.solution.light.len().isqrt(),
             transfer: stages::transfer_level(&found),
-            rays: traced.0.rays,
+            rays: found.transfer.traced.rays,
             vertices: ready.mesh.positions.len(),
             keyframes: shared.keyframes,
             seconds,
@@ -265,8 +271,15 @@ impl Sweep<'_> {
     }
 
     fn errors(&self, ready: &Ready, found: &Factorised) -> (f64, f64) {
-        let seen = |i: usize| ready.fields.offsets[i + 1] - ready.fields.offsets[i] >= 2;
-        self.truth.errors(&ready.mesh, &self.views(ready), seen, &found.detail.albedo, &found.irradiance)
+        let seen: Vec<bool> = ready.fields.offsets.windows(2).map(|o| o[1] - o[0] >= 2).collect();
+        self.truth.errors(&Answer {
+            mesh: &ready.mesh,
+            scene: &ready.scene,
+            views: &self.views(ready),
+            seen: &seen,
+            albedo: &found.detail.albedo,
+            irradiance: &found.irradiance,
+        })
     }
 
     fn views(&self, ready: &Ready) -> Vec<(i64, recordings::types::Pose)> {

@@ -1,7 +1,8 @@
 //! Scenes whose albedo and lit colour are known, vertex by vertex.
 
+use crate::scene::Scene;
 use crate::trade::luminous;
-use glam::{DVec3, IVec3, Mat3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
 use nalgebra::{Matrix3, Vector3};
 use recordings::types::{Mesh, Pose};
 use std::collections::BTreeMap;
@@ -20,8 +21,25 @@ pub struct Truth {
     irradiance: Vec<Vec3>,
     /// True poses by time stamp, if the scan has a frame of its own.
     trajectory: BTreeMap<i64, Pose>,
-    cell: f32,
-    cells: BTreeMap<[i32; 3], Vec<u32>>,
+    /// How far off a surface that was found may be and still be the true one: 1.5 spacings of true vertices.
+    reach: f32,
+}
+
+/// An answer at the vertices of the mesh that was found.
+#[derive(Clone, Copy)]
+pub struct Answer<'a> {
+    /// Mesh that was found.
+    pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub scene: &'a Scene,
+    /// Keyframes by time stamp, in the frame of that mesh.
+    pub views: &'a [(i64, Pose)],
+    /// Vertices that two keyframes or more see.
+    pub seen: &'a [bool],
+    /// Albedo.
+    pub albedo: &'a [Vec3],
+    /// Irradiance.
+    pub irradiance: &'a [Vec3],
 }
 
 impl Truth {
@@ -65,60 +83,28 @@ impl Truth {
         // Surfaces fill the box like its faces do: about one vertex a cell.
         let d = high - low;
         let area = (d.x * d.y + d.y * d.z + d.z * d.x).max(f32::MIN_POSITIVE);
-        let cell = 1.5 * (area / positions.len() as f32).sqrt();
+        let reach = 1.5 * (area / positions.len() as f32).sqrt();
         let irradiance = lit.iter().zip(&albedo).map(|(f, a)| *f / a.max(Vec3::splat(1e-6))).collect();
-        let mut truth = Self { positions, normals, albedo, irradiance, trajectory, cell, cells: BTreeMap::new() };
-        for i in 0..truth.positions.len() {
-            let key = truth.key(truth.positions[i]).to_array();
-            truth.cells.entry(key).or_default().push(i as u32);
-        }
-        Ok(truth)
+        Ok(Self { positions, normals, albedo, irradiance, trajectory, reach })
     }
 
-    fn key(&self, p: Vec3) -> IVec3 {
-        (p / self.cell).floor().as_ivec3()
-    }
-
-    fn nearest(&self, p: Vec3, normal: Vec3) -> Option<usize> {
-        let at = self.key(p);
-        let mut best = (self.cell, None);
-        for x in -1..=1 {
-            for y in -1..=1 {
-                for z in -1..=1 {
-                    let key = [at.x.wrapping_add(x), at.y.wrapping_add(y), at.z.wrapping_add(z)];
-                    for &i in self.cells.get(&key).into_iter().flatten() {
-                        let i = i as usize;
-                        let distance = self.positions[i].distance(p);
-                        if distance < best.0 && self.normals[i].dot(normal) > SAME_SIDE {
-                            best = (distance, Some(i));
-                        }
-                    }
-                }
+    /// Median relative error of albedo and irradiance, after one factor per channel: at the true vertices, so that finer
+    /// and coarser meshes are measured at the same places.
+    #[must_use]
+    pub fn errors(&self, answer: &Answer) -> (f64, f64) {
+        let (rotation, translation) = self.frame(answer.views);
+        let back = rotation.transpose();
+        let mut pairs = [Vec::new(), Vec::new()];
+        for (i, (p, n)) in self.positions.iter().zip(&self.normals).enumerate() {
+            let known = [self.albedo[i], self.irradiance[i]];
+            if let Some(found) = answer.at(back * (*p - translation), back * *n, self.reach)
+                && found.iter().chain(&known).all(luminous)
+            {
+                pairs.iter_mut().zip(found).zip(known).for_each(|((pairs, f), k)| pairs.push(f / k));
             }
         }
-        best.1
-    }
-
-    /// Median relative error of albedo and irradiance over the vertices that were seen, after one factor per channel.
-    #[must_use]
-    pub fn errors(
-        &self,
-        mesh: &Mesh,
-        views: &[(i64, Pose)],
-        seen: impl Fn(usize) -> bool,
-        albedo: &[Vec3],
-        irradiance: &[Vec3],
-    ) -> (f64, f64) {
-        let (rotation, translation) = self.frame(views);
-        let pairs: Vec<(usize, usize)> = (0..mesh.positions.len())
-            .filter(|&i| seen(i) && luminous(&albedo[i]) && luminous(&irradiance[i]))
-            .filter_map(|i| {
-                let p = rotation * mesh.positions[i] + translation;
-                self.nearest(p, rotation * mesh.normals[i]).map(|t| (i, t))
-            })
-            .filter(|&(_, t)| luminous(&self.albedo[t]) && luminous(&self.irradiance[t]))
-            .collect();
-        (relative_error(&pairs, albedo, &self.albedo), relative_error(&pairs, irradiance, &self.irradiance))
+        let [albedo, irradiance] = pairs.map(|ratios| relative_error(&ratios));
+        (albedo, irradiance)
     }
 
     /// Truth's frame from the scan's: the rigid motion that brings the cameras, with their axes, onto the true ones.
@@ -151,14 +137,32 @@ impl Truth {
     }
 }
 
-fn relative_error(pairs: &[(usize, usize)], found: &[Vec3], truth: &[Vec3]) -> f64 {
+impl Answer<'_> {
+    /// Albedo and irradiance of the seen surface that is nearest to `position` along its normal.
+    fn at(&self, position: Vec3, normal: Vec3, reach: f32) -> Option<[Vec3; 2]> {
+        let along = |normal: Vec3| self.scene.closest_hit(self.scene.offset_origin(position, -normal), normal);
+        let corners = |triangle: u32| self.mesh.triangles[triangle as usize].map(|i| i as usize);
+        let faces = |triangle| {
+            let [a, b, c] = corners(triangle).map(|i| self.mesh.normals[i]);
+            (a + b + c).normalize_or_zero().dot(normal) > SAME_SIDE
+        };
+        let hits = [along(normal), along(-normal)].into_iter().flatten();
+        let near = hits.filter(|h| h.distance < reach && faces(h.triangle));
+        let hit = near.min_by(|a, b| a.distance.total_cmp(&b.distance))?;
+        let [a, b, c] = corners(hit.triangle);
+        let blend = |v: &[Vec3]| v[a] * (1.0 - hit.u - hit.v) + v[b] * hit.u + v[c] * hit.v;
+        (self.seen[a] && self.seen[b] && self.seen[c]).then(|| [blend(self.albedo), blend(self.irradiance)])
+    }
+}
+
+/// Median over places and channels, after the median of each channel.
+fn relative_error(ratios: &[Vec3]) -> f64 {
     let median = |mut values: Vec<f64>| {
         let middle = values.len() / 2;
         if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
     };
-    let ratio = |&(i, t): &(usize, usize), c: usize| f64::from(found[i][c] / truth[t][c]);
-    let scale = [0, 1, 2].map(|c| median(pairs.iter().map(|p| ratio(p, c)).collect()));
-    median(pairs.iter().flat_map(|p| [0, 1, 2].map(|c| (ratio(p, c) / scale[c] - 1.0).abs())).collect())
+    let scale = [0, 1, 2].map(|c| median(ratios.iter().map(|r| f64::from(r[c])).collect()));
+    median(ratios.iter().flat_map(|r| [0, 1, 2].map(|c| (f64::from(r[c]) / scale[c] - 1.0).abs())).collect())
 }
 
 /// `timestamp tx ty tz qx qy qz qw`, by microseconds.
@@ -217,4 +221,67 @@ fn read_vertices(path: &Path) -> Result<Vec<[f32; 12]>, String> {
 
 fn float(bytes: &[u8], at: usize) -> f32 {
     bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(f32::NAN, f32::from_le_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of `n` × `n` cells, a little above or below z = 0.
+    fn square(n: u32, height: f32) -> Mesh {
+        let mut mesh = Mesh::default();
+        for i in 0..=n {
+            for j in 0..=n {
+                mesh.positions.push(Vec3::new(i as f32 / n as f32, j as f32 / n as f32, height));
+                mesh.normals.push(Vec3::Z);
+                if i < n && j < n {
+                    let at = |i: u32, j: u32| i * (n + 1) + j;
+                    mesh.triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+                    mesh.triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+                }
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn finer_and_coarser_meshes_are_measured_at_the_same_places() {
+        let known = square(40, 0.0);
+        // A third of the square, which finer vertices might crowd, is told wrong by a fifth.
+        let answer = |p: &Vec3| Vec3::splat(if p.x > 0.68 { 0.6 } else { 0.5 });
+        let count = known.positions.len();
+        let truth = Truth::new(
+            known.positions.clone(),
+            known.normals.clone(),
+            vec![Vec3::splat(0.5); count],
+            &vec![Vec3::splat(0.5); count],
+            BTreeMap::new(),
+        )
+        .expect("arrays of one length");
+        let share_wrong = |mesh: &Mesh| {
+            let albedo: Vec<Vec3> = mesh.positions.iter().map(answer).collect();
+            let irradiance = vec![Vec3::ONE; albedo.len()];
+            let seen = vec![true; albedo.len()];
+            let (scene, albedo, irradiance) = (&Scene::new(mesh), &albedo, &irradiance);
+            let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo, irradiance };
+            let at = |p: &Vec3| answer.at(*p, Vec3::Z, truth.reach);
+            let places: Vec<[Vec3; 2]> = known.positions.iter().filter_map(at).collect();
+            assert_eq!(truth.errors(&answer), (0.0, 0.0), "the median place is told right");
+            (places.len(), places.iter().filter(|p| p[0].x > 0.55).count() as f64 / places.len() as f64)
+        };
+        for mesh in [square(80, 0.001), square(20, -0.001), square(7, 0.0)] {
+            let (places, wrong) = share_wrong(&mesh);
+            assert!(places >= count * 9 / 10, "{places} of {count}");
+            assert!((wrong - 0.32).abs() < 0.05, "{wrong}");
+        }
+        let far = square(20, 0.2);
+        assert_eq!(places(&far, &truth), 0, "another surface is not the true one");
+    }
+
+    fn places(mesh: &Mesh, truth: &Truth) -> usize {
+        let ones = vec![Vec3::ONE; mesh.positions.len()];
+        let (scene, seen) = (&Scene::new(mesh), vec![true; ones.len()]);
+        let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo: &ones, irradiance: &ones };
+        truth.positions.iter().filter(|p| answer.at(**p, Vec3::Z, truth.reach).is_some()).count()
+    }
 }
