@@ -10,11 +10,11 @@ pub use truth::{Answer, Truth};
 use crate::albedo::Detail;
 use crate::factorise::{Factorised, Settings, factorise};
 use crate::inverse::Solution;
-use crate::plan::{Machine, Plan, WallClock};
+use crate::plan::{self, Machine, Plan, WallClock};
 use crate::stages::{self, Ready};
 use crate::transfer::{self, Traced};
 use crate::{EstimateError, Options, Progress, refit};
-use firmware_config::{EstimatorConfig, SolverChoice, Switch};
+use firmware_config::{EstimatorConfig, Quality, SolverChoice, Switch};
 use glam::Vec3;
 use recordings::scan::Scan;
 use std::fmt::Write;
@@ -31,15 +31,15 @@ const PAPER_BANDS: usize = 5;
 const NEAR: f64 = 1.1;
 /// … and `auto` may take this many times as long as the cheapest that comes near.
 const DEAR: f64 = 2.0;
-/// Settings of a whole sweep: the grid (diffuse takes no rays), `auto`, three solvers, vertices, keyframes.
-pub const SETTINGS: usize = BANDS.len() * (1 + 2 * RAYS.len()) + 1 + 3 + VERTICES.len() + 1;
+/// Settings of a whole sweep: the grid (diffuse takes no rays), `auto`, named points, three solvers, vertices, keyframes.
+pub const SETTINGS: usize = BANDS.len() * (1 + 2 * RAYS.len()) + 1 + 2 + 3 + VERTICES.len() + 1;
 /// A budget that never binds.
 const UNLIMITED: Options = Options { budget: Duration::from_secs(1_000_000), rounds: None };
 
 /// One setting and what it brought.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Point {
-    /// What is special about it: "grid", "auto", "paper", "nonsegmented", "literal", "vertices 1/4" …
+    /// What is special about it: "grid", "auto", "draft", "best", "paper", "nonsegmented", "literal", "vertices 0.25" …
     pub name: String,
     /// SH bands.
     pub bands: usize,
@@ -119,8 +119,12 @@ pub fn sweep(
     let wall = WallClock::start();
     let limit = limit.as_secs_f64();
     let mut run = Sweep { scan, truth, config, clock, wall, limit, points: Vec::new(), progress };
-    let mut shared = run.prepare(1.0, 1)?;
-    run.auto(&mut shared);
+    let mut shared = run.prepare(config, 1.0, 1)?;
+    // As `lumiscan estimate` would do it by itself, and at the other named points.
+    run.by_itself("auto", config, &mut shared);
+    for (name, quality) in [("draft", Quality::Draft), ("best", Quality::Best)] {
+        run.variant(name, &plan::at_quality(&EstimatorConfig { quality, ..config.clone() }), 1.0, 1)?;
+    }
     let open = run.timed(|_| Arc::new(transfer::unoccluded(&shared.ready.mesh, crate::sh::MAX_BANDS)));
     for rays in RAYS {
         if run.is_over() {
@@ -141,9 +145,9 @@ pub fn sweep(
     }
     drop(shared);
     for share in VERTICES {
-        run.variant(&format!("vertices {share}"), share, 1)?;
+        run.variant(&format!("vertices {share}"), config, share, 1)?;
     }
-    run.variant("keyframes 0.5", 1.0, 2)?;
+    run.variant("keyframes 0.5", config, 1.0, 2)?;
     let mut points = run.points;
     for i in 0..points.len() {
         let (error, seconds) = (points[i].error(), points[i].seconds);
@@ -176,36 +180,37 @@ impl Sweep<'_> {
         self.wall.now() > self.limit
     }
 
-    fn prepare(&self, vertices: f64, stride: usize) -> Result<Shared, EstimateError> {
+    fn prepare(&self, config: &EstimatorConfig, vertices: f64, stride: usize) -> Result<Shared, EstimateError> {
         let (ready, seconds) = self.timed(|run| {
-            let mut plan = Plan::new(run.clock, &UNLIMITED, run.config, stages::size(run.scan, run.config));
+            let mut plan = Plan::new(run.clock, &UNLIMITED, config, stages::size(run.scan, config));
             plan.restrict(vertices, stride);
-            stages::prepare(run.scan, run.config, &mut plan, run.progress)
+            stages::prepare(run.scan, config, &mut plan, run.progress)
         });
         Ok(Shared { ready: ready?, seconds, keyframes: self.scan.keyframes.len().div_ceil(stride) })
     }
 
-    /// As `lumiscan estimate` would do it by itself.
-    fn auto(&mut self, shared: &mut Shared) {
-        self.by_itself("auto", shared);
-    }
-
-    fn variant(&mut self, name: &str, vertices: f64, stride: usize) -> Result<(), EstimateError> {
+    fn variant(
+        &mut self,
+        name: &str,
+        config: &EstimatorConfig,
+        vertices: f64,
+        stride: usize,
+    ) -> Result<(), EstimateError> {
         if !self.is_over() {
-            let mut shared = self.prepare(vertices, stride)?;
-            self.by_itself(name, &mut shared);
+            let mut shared = self.prepare(config, vertices, stride)?;
+            self.by_itself(name, config, &mut shared);
         }
         Ok(())
     }
 
-    fn by_itself(&mut self, name: &str, shared: &mut Shared) {
+    fn by_itself(&mut self, name: &str, config: &EstimatorConfig, shared: &mut Shared) {
         let before = self.clock.now();
-        let mut plan = Plan::new(self.clock, &UNLIMITED, self.config, stages::size(self.scan, self.config));
-        let traced = stages::transfer(&shared.ready, self.config, &UNLIMITED, &mut plan, self.progress);
+        let mut plan = Plan::new(self.clock, &UNLIMITED, config, stages::size(self.scan, config));
+        let traced = stages::transfer(&shared.ready, config, &UNLIMITED, &mut plan, self.progress);
         let ready = &mut shared.ready;
-        let settled = stages::settle(ready, traced, self.config, &UNLIMITED, &mut plan, self.progress);
+        let settled = stages::settle(ready, traced, config, &UNLIMITED, &mut plan, self.progress);
         let spent = self.clock.now() - before;
-        self.point(name, shared, &(settled.traced, spent), settled.settings, settled.start, Some(&mut plan));
+        self.point(name, shared, &(settled.traced, spent), settled.settings, settled.start, Some((config, &mut plan)));
     }
 
     fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: &str, bands: usize) {
@@ -234,7 +239,7 @@ impl Sweep<'_> {
         traced: &(Arc<Traced>, f64),
         settings: Settings,
         start: Option<(Solution, Detail)>,
-        by_itself: Option<&mut Plan>,
+        by_itself: Option<(&EstimatorConfig, &mut Plan)>,
     ) {
         if self.is_over() {
             return;
@@ -249,8 +254,8 @@ impl Sweep<'_> {
             let gloss;
             (found, gloss, _) =
                 refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
-            if let Some(plan) = by_itself.filter(|_| gloss.iter().any(|g| g.significant)) {
-                found = stages::refine(ready, found, &settings, self.config, &UNLIMITED, plan, self.progress);
+            if let Some((config, plan)) = by_itself.filter(|_| gloss.iter().any(|g| g.significant)) {
+                found = stages::refine(ready, found, &settings, config, &UNLIMITED, plan, self.progress);
             }
         }
         let seconds = shared.seconds + traced.1 + self.clock.now() - before;
