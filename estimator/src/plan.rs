@@ -419,8 +419,10 @@ impl<'a> Plan<'a> {
         let size = self.shape.size(&self.size);
         let mut rays = wanted;
         let mut bounces = self.shape.bounces;
-        let cost =
-            |rays, bounces| Shape { rays, bands, bounces, ..self.shape }.light(&size, blocked) + cost::output(&size);
+        let there = cost::rays(size.vertices, have);
+        let cost = |rays, bounces| {
+            Shape { rays, bands, bounces, ..self.shape }.light(&size, blocked) - there + cost::output(&size)
+        };
         while rays > have && cost(rays, bounces) > self.left() {
             match bounces {
                 1 => rays /= 2,

@@ -6,7 +6,7 @@ use crate::inverse::{self, DARK_FLOOR, Observed, Solution};
 use crate::robust::{Gain, median};
 use crate::scene::Scene;
 use crate::sh;
-use crate::transfer::{self, Pilot, Traced, Transfer};
+use crate::transfer::{self, ERROR_OF_TWICE, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -33,8 +33,6 @@ pub const PILOT_RAYS: u32 = 64;
 const TRANSFER_SHARE: f64 = 0.35;
 /// Most rays that are chosen.
 const MOST_RAYS: u32 = 1024;
-/// Twice the rays of a scrambled Sobol set have this share of the error.
-pub const ERROR_OF_TWICE: f64 = 0.6;
 /// Error with which a lit colour is known, however often it was seen: bounced light below it cannot be told.
 const COLOR_ERROR: f64 = 0.01;
 

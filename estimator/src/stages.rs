@@ -122,33 +122,34 @@ pub fn transfer(
     let most = plan.shape().rays;
     let explicit = config.rays > 0 || options.rounds.is_some();
     let rays = if explicit { most } else { most.min(select::PILOT_RAYS) };
-    trace(ready, config, rays, 0, plan, progress)
+    trace(ready, config, rays, None, plan, progress)
         .unwrap_or_else(|| Arc::new(transfer::unoccluded(&ready.mesh, plan.shape().bands)))
 }
 
-/// Rays, fewer if they are not there in time; `None` if those would be no more than one has.
+/// Rays beyond those that one has, fewer if they are not there in time; `None` if those would be no more.
 fn trace(
     ready: &Ready,
     config: &EstimatorConfig,
     mut rays: u32,
-    have: u32,
+    have: Option<&Traced>,
     plan: &mut Plan,
     progress: &dyn Progress,
 ) -> Option<Arc<Traced>> {
     let bands = plan.shape().bands;
     loop {
-        let watch = plan.watch_rays(rays);
+        let first = have.map_or(0, |h| h.rays);
+        let watch = plan.watch_rays(rays - first);
         let go_on = |share| {
             progress.stage("transfer", share);
             watch(share)
         };
-        let traced = transfer::trace_while(&ready.mesh, &ready.scene, bands, rays, config.seed, &go_on);
+        let traced = transfer::trace_while(&ready.mesh, &ready.scene, bands, rays, have, config.seed, &go_on);
         drop(watch);
         if let Some(traced) = traced {
-            plan.rays_done(rays);
+            plan.rays_done(rays - first);
             return Some(Arc::new(traced));
         }
-        rays = plan.fewer_rays(rays, have)?;
+        rays = plan.fewer_rays(rays, first)?;
     }
 }
 
@@ -189,7 +190,7 @@ pub fn settle(
         let rays = plan.more_rays(wanted, have, blocked, selected.bands);
         settled.settings.bounces = plan.shape().bounces;
         if rays > have
-            && let Some(better) = trace(ready, config, rays, have, plan, progress)
+            && let Some(better) = trace(ready, config, rays, Some(&settled.traced), plan, progress)
         {
             settled.traced = better;
         }
@@ -217,7 +218,7 @@ pub fn refine(
     if rays <= traced.rays {
         return found;
     }
-    let Some(better) = trace(ready, config, rays, traced.rays, plan, progress) else { return found };
+    let Some(better) = trace(ready, config, rays, Some(&traced), plan, progress) else { return found };
     ready.decisions.push(Decision {
         name: "rays without gloss".into(),
         choice: better.rays.to_string(),
@@ -377,7 +378,7 @@ pub fn transfer_decision(found: &Factorised) -> Decision {
             }
             _ => format!(
                 "twice the rays: relative standard error about {:.3}",
-                select::ERROR_OF_TWICE * traced.relative_error()
+                transfer::ERROR_OF_TWICE * traced.relative_error()
             ),
         },
     }
