@@ -352,7 +352,8 @@ fn a_known_depth_distortion_is_removed() {
     assert!(after.0 < 0.002 && after.1 < 0.004, "{before:?} {after:?}");
 }
 
-/// Once around a small thing on a bare floor: what the loop's end sees is where its start put it.
+/// Once around a small thing on the floor, and a bit further: what the loop's end sees is where its start put it, and no
+/// surface stands beside another.
 #[test]
 fn a_loop_around_a_small_object_closes() {
     let sensor = world::sensor(320, 240);
@@ -366,15 +367,32 @@ fn a_loop_around_a_small_object_closes() {
         contrast: 60.0,
         cell_m: 0.02,
     };
-    let truth: Vec<Pose> = (0..=120)
-        .map(|i| {
-            let a = f64::from(i) * std::f64::consts::TAU / 120.0;
-            let from = DVec3::new(0.6 * libm::sin(a), -0.6 * libm::cos(a), 0.4 + 0.05 * libm::sin(3.0 * a));
-            look_at(from, DVec3::new(0.0, 0.0, 0.05))
-        })
-        .collect();
-    let (metres, degrees) = worst_error(&sensor, &thing, &truth);
-    assert!(metres < 0.012 && degrees < 1.0, "{metres} m, {degrees}°");
+    let around = |i: usize| {
+        let a = i as f64 * std::f64::consts::TAU / 120.0;
+        let distance = 0.75 - 0.15 * libm::cos(2.0 * a);
+        let from = DVec3::new(distance * libm::sin(a), -distance * libm::cos(a), 0.4 + 0.05 * libm::sin(3.0 * a));
+        look_at(from, DVec3::new(0.0, 0.0, 0.05))
+    };
+    let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
+    let mut first = None;
+    let (mut squares, mut worst): (f64, (f64, f64)) = (0.0, (0.0, 0.0));
+    for i in 0..=130 {
+        let found = fusion.push(&thing.look(&sensor, &around(i), i)).unwrap().world_from_camera.expect("lost");
+        let first: &Pose = first.get_or_insert(found);
+        let e = error((first, &around(0)), (&found, &around(i)));
+        squares += e.0 * e.0 / 131.0;
+        worst = (e.0.max(worst.0), e.1.max(worst.1));
+    }
+    let truth_from_ours = around(0).compose(&first.unwrap().inverse());
+    let mesh = fusion.finish().mesh;
+    let mut off: Vec<f64> =
+        mesh.positions.iter().map(|p| thing.distance(truth_from_ours.transform(p.as_dvec3()))).collect();
+    off.sort_by(f64::total_cmp);
+    let share = |q: f64| off[((off.len() - 1) as f64 * q) as usize];
+    let (median, most) = (share(0.5), share(0.99));
+    println!("loop: RMS {:.4} m, at worst {worst:?}; mesh off by {median:.4} m, 99 % by {most:.4}", squares.sqrt());
+    assert!(squares.sqrt() < 0.004 && worst.0 < 0.008 && worst.1 < 0.5, "{} m RMS, {worst:?}", squares.sqrt());
+    assert!(off.len() > 10_000 && median < 0.002 && most < 0.006, "{median} m, {most} m");
 }
 
 /// With dropped frames a hand-held turn on the spot reaches 8° from frame to frame.
@@ -445,6 +463,28 @@ fn a_rolling_shutter_is_undone() {
         let (rms, worst) = moving_error(&sensor, &room, &pose, 80, 1, readout);
         println!("{readout} of the frame time: {rms:.4} m, at worst {worst:.4}");
         assert!(rms < most, "{readout}: {rms} m");
+    }
+}
+
+/// Once around on the spot at up to 130° a second, out of sight of all that was seen before, with blur and rolling shutter,
+/// also with every second frame left out.
+#[test]
+fn a_whole_fast_turn_comes_back_to_where_it_began() {
+    let sensor = world::sensor(240, 180);
+    let room = world::room();
+    for (step, most) in [(1.0, 0.03), (2.0, 0.05)] {
+        let pose = |t: f64| {
+            // There in 3 s and a second of standing still, nearly.
+            let s = (t * step / 100.0).min(1.0);
+            let a = s - libm::sin(std::f64::consts::TAU * s) / std::f64::consts::TAU * 0.3;
+            let yaw = std::f64::consts::TAU * a;
+            let from = DVec3::new(0.1 * libm::sin(yaw), -0.3 - 0.1 * libm::cos(yaw), 1.3);
+            look_at(from, from + DVec3::new(libm::sin(yaw), libm::cos(yaw), -0.2 + 0.1 * libm::sin(2.0 * yaw)))
+        };
+        let frames = (120.0 / step) as usize;
+        let (rms, worst) = moving_error(&sensor, &room, &pose, frames, 2, 0.9 / step);
+        println!("every {step}: {rms:.4} m, at worst {worst:.4}");
+        assert!(rms < most, "every {step}: {rms} m");
     }
 }
 

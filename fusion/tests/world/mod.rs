@@ -86,6 +86,20 @@ impl World {
         hits.min_by(f64::total_cmp)
     }
 
+    /// Distance of a point to the nearest surface, metres.
+    pub fn distance(&self, p: DVec3) -> f64 {
+        let outside = |lo: DVec3, hi: DVec3| {
+            let d = (lo - p).max(p - hi);
+            if d.max_element() > 0.0 { d.max(DVec3::ZERO).length() } else { d.max_element().abs() }
+        };
+        let distances = self.shapes.iter().map(|s| match *s {
+            Shape::Room(lo, hi) | Shape::Box(lo, hi) => outside(lo, hi),
+            Shape::Ball(c, r) => ((p - c).length() - r).abs(),
+            Shape::Floor(z) => (p.z - z).abs(),
+        });
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
     fn grey(&self, p: DVec3) -> f64 {
         let q = p / self.cell_m;
         let (b, f) = (q.floor(), q - q.floor());
