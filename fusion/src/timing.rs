@@ -28,7 +28,7 @@ const READOUT: Pace = Pace { first: 1.0, settling: 30.0, most_s: 0.015 };
 pub struct Timing {
     /// Seconds by which depth was taken earlier than its stamp says, against colour.
     pub delay_s: f64,
-    /// Seconds from the first row of an image to its last.
+    /// Seconds from the first row of an image to its last; negative where images are stored upside down or played backwards.
     pub readout_s: f64,
     /// Frames followed so far, as much as they were trusted, for either.
     followed: [f64; 2],
@@ -60,7 +60,7 @@ impl Timing {
         let (delay, readout) = (step(0, &DELAY), step(1, &READOUT));
         let (late, longest) = (config.max_latency_ms * 1e-3, config.max_readout_ms * 1e-3);
         self.delay_s = (self.delay_s + delay).clamp(-late, late);
-        self.readout_s = (self.readout_s + readout).clamp(0.0, longest);
+        self.readout_s = (self.readout_s + readout).clamp(-longest, longest);
     }
 }
 
