@@ -98,7 +98,7 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
         let decoder = start(scope, "decode", move || decode(&raw_in, &frame_out, &path));
         let disk = start(scope, "disk", move || write(writer, &disk_in));
 
-        let fused = fuse(fusion, &frame_in, &disk_out, stop, Told { reporter, board, config }, bad_input);
+        let fused = fuse(fusion, &frame_in, &disk_out, stop, Told { reporter, board }, bad_input);
         // Lets the stages before this one end, should it have ended first.
         over.store(true, Ordering::Relaxed);
         drop(frame_in);
@@ -202,11 +202,10 @@ fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure>
     Ok(())
 }
 
-/// Who is told of fusion's progress, and the settings it runs with.
+/// Who is told of fusion's progress.
 struct Told<'a> {
     reporter: &'a Reporter,
     board: Option<&'a Board>,
-    config: &'a Config,
 }
 
 struct Fused {
@@ -224,7 +223,7 @@ fn fuse(
     told: Told<'_>,
     bad_input: impl Fn(FusionError) -> Failure,
 ) -> Result<Fused, Failure> {
-    let Told { reporter, board, config } = told;
+    let Told { reporter, board } = told;
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
@@ -248,7 +247,7 @@ fn fuse(
             tracing::warn!("the voxel pool ran full: the volume goes on with twice the voxel size");
         }
         if let Some(board) = board {
-            let block_m = 8.0 * config.fusion.voxel_size_m;
+            let block_m = 8.0 * report.voxel_size_m;
             board.fused(!now_lost, report.keep.is_some(), report.blocks_used, block_m);
         }
         if let Some(id) = report.keep {

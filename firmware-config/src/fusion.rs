@@ -5,8 +5,10 @@ use crate::settings::section;
 section! {
     /// Tracking, TSDF and keyframes.
     FusionConfig = "fusion" {
-        /// Edge length of a voxel at start; coarsened by factors of two when the pool fills.
+        /// Edge length of a voxel; half of it while the scene is small and near, and doubled when the pool fills.
         voxel_size_m: f64 = 0.005, [0.001..=0.1], "m", "";
+        /// Most blocks that a frame may reach while voxels are half as long; 0: they never are.
+        fine_blocks: u32 = 6000, [0..=1048576], "blocks", "";
         /// Largest voxel size that coarsening may reach.
         max_voxel_size_m: f64 = 0.04, [0.001..=0.4], "m", "";
         /// Truncation distance of the signed distance, in voxels.
@@ -80,7 +82,7 @@ section! {
         /// Most keyframes a scan may hold.
         max_keyframes: u32 = 120, [1..=1000], "", "";
         /// Views a surface point should get from the keyframes where the recording has them.
-        keyframe_views: u32 = 3, [1..=16], "", "";
+        keyframe_views: u32 = 4, [1..=16], "", "";
         /// Witness frames kept aside.
         witnesses: u32 = 3, [0..=32], "", "";
     }

@@ -347,30 +347,53 @@ fn triangles(
     out
 }
 
-/// Drops small pieces and vertices that no triangle uses.
-fn drop_specks(mesh: &mut Mesh, min_triangles: usize) {
-    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    fn root(parent: &mut [u32], mut v: u32) -> u32 {
-        while parent[v as usize] != v {
-            parent[v as usize] = parent[parent[v as usize] as usize];
-            v = parent[v as usize];
+/// Triangles in pieces that share vertices (union-find).
+pub struct Pieces {
+    parent: Vec<u32>,
+    /// Triangles of the piece, at its root.
+    triangles: Vec<u32>,
+}
+
+impl Pieces {
+    /// Of a mesh with so many vertices.
+    pub fn new<'a>(vertices: usize, triangles: impl Iterator<Item = &'a [u32; 3]> + Clone) -> Self {
+        let mut pieces = Self { parent: (0..vertices as u32).collect(), triangles: vec![0; vertices] };
+        for t in triangles.clone() {
+            for (a, b) in [(t[0], t[1]), (t[1], t[2])] {
+                let (a, b) = (pieces.root(a), pieces.root(b));
+                pieces.parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+        for t in triangles {
+            let root = pieces.root(t[0]);
+            pieces.triangles[root as usize] += 1;
+        }
+        pieces
+    }
+
+    fn root(&mut self, mut v: u32) -> u32 {
+        while self.parent[v as usize] != v {
+            self.parent[v as usize] = self.parent[self.parent[v as usize] as usize];
+            v = self.parent[v as usize];
         }
         v
     }
-    for t in &mesh.triangles {
-        for (a, b) in [(t[0], t[1]), (t[1], t[2])] {
-            let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-            parent[a.max(b) as usize] = a.min(b);
-        }
+
+    /// Triangles of the piece that a vertex belongs to.
+    pub fn triangles(&mut self, v: u32) -> u32 {
+        let root = self.root(v);
+        self.triangles[root as usize]
     }
-    let mut size = vec![0u32; parent.len()];
-    for t in &mesh.triangles {
-        size[root(&mut parent, t[0]) as usize] += 1;
-    }
+}
+
+/// Drops small pieces and vertices that no triangle uses.
+pub fn drop_specks(mesh: &mut Mesh, min_triangles: usize) {
+    let vertices = mesh.positions.len();
+    let mut pieces = Pieces::new(vertices, mesh.triangles.iter());
     let least = min_triangles.max(1) as u32;
-    mesh.triangles.retain(|t| size[root(&mut parent, t[0]) as usize] >= least);
-    let keep: Vec<bool> = (0..parent.len() as u32).map(|v| size[root(&mut parent, v) as usize] >= least).collect();
-    let mut number = parent;
+    mesh.triangles.retain(|t| pieces.triangles(t[0]) >= least);
+    let keep: Vec<bool> = (0..vertices as u32).map(|v| pieces.triangles(v) >= least).collect();
+    let mut number = pieces.parent;
     let mut next = 0;
     for (n, k) in number.iter_mut().zip(&keep) {
         *n = next;
@@ -419,7 +442,7 @@ mod tests {
 
     #[test]
     fn a_sphere_comes_out_closed_round_and_facing_outwards() {
-        let mut volume = Volume::new(&FusionConfig { pool_blocks: 1024, ..FusionConfig::default() });
+        let mut volume = Volume::new(&FusionConfig { pool_blocks: 1024, fine_blocks: 0, ..FusionConfig::default() });
         let (radius, mu, m) = (0.1f32, volume.truncation_m(), volume.voxel_m());
         let centre = Vec3::new(0.011, -0.007, 0.003);
         for z in -4..4 {

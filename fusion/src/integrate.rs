@@ -201,6 +201,7 @@ struct Kernel<'a> {
     shift_step: [Vec3; 3],
     shift_slice: [[f32; SLICE]; 3],
     per_mu: f32,
+    noise_per_mu: f32,
     max_weight: f32,
 }
 
@@ -221,6 +222,10 @@ impl<const ROLLS: bool> Hot for BlockUpdate<'_, ROLLS> {
 
 /// Voxels in a slice of a block.
 const SLICE: usize = EDGE * EDGE;
+/// Standard deviations of depth behind the surface from where on readings weigh less, …
+const FADE_FROM: f32 = 3.0;
+/// … and by how much, for each truncation distance.
+const FADE: f32 = 1.25;
 /// The largest weight stored.
 const MOST_WEIGHT: f32 = 65535.0;
 
@@ -278,6 +283,7 @@ impl<'a> Kernel<'a> {
             shift_step,
             shift_slice: slice(&shift_step),
             per_mu: 1.0 / volume.truncation_m(),
+            noise_per_mu: FADE_FROM / volume.truncation_m(),
             max_weight,
         }
     }
@@ -335,15 +341,19 @@ impl<'a> Kernel<'a> {
                 const ONE_SIGMA: f32 = 0.001884 / WEIGHT_UNIT;
                 let far = d - 0.4;
                 let sigma = 0.0012 + 0.0019 * far * far;
-                let sigma = if sigma < ONE_SIGMA { sigma } else { ONE_SIGMA };
+                // Deeper behind the surface than noise reaches, what is told gives way to free space that others see
+                // there: thin things stay thin. Any nearer, the surface would move backwards.
+                let told = 1.0 + FADE * (s + sigma * self.noise_per_mu);
+                let fresh = ONE_SIGMA * if told < 1.0 { told } else { 1.0 };
+                let fresh = if fresh > sigma { fresh } else { sigma };
                 // The weight tells how much was seen; what is new counts at least its share of `max_weight`.
                 let all = f32::from(weight[i]);
                 let old = (if all < self.max_weight { all } else { self.max_weight }) * sigma;
-                // new = ONE_SIGMA / sigma and mean = (sdf · old + s · new) / (old + new), with one division.
-                let both = old + ONE_SIGMA;
+                // new = fresh / sigma and mean = (sdf · old + s · new) / (old + new), with one division.
+                let both = old + fresh;
                 let r = 1.0 / (sigma * both);
-                let mean = (f32::from(sdf[i]) * old + s * (SDF_ONE * ONE_SIGMA)) * (sigma * r);
-                let sum = all + ONE_SIGMA * (both * r);
+                let mean = (f32::from(sdf[i]) * old + s * (SDF_ONE * fresh)) * (sigma * r);
+                let sum = all + fresh * (both * r);
                 let sum = if sum < MOST_WEIGHT { sum } else { MOST_WEIGHT };
                 sdf[i] = if seen { round_to_int(mean) as i16 } else { sdf[i] };
                 weight[i] = if seen { round_to_int(sum) as u16 } else { weight[i] };

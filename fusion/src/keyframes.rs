@@ -1,7 +1,8 @@
 //! Keyframes, Eq. (1): candidates while scanning, the smallest covering set at the end.
 
-use crate::camera::{Pinhole, Rig, Rigid};
+use crate::camera::{Pinhole, Rig};
 use crate::pyramid::Frame;
+use crate::visible::View;
 use firmware_config::FusionConfig;
 use rayon::prelude::*;
 use recordings::scan::{FrameId, KeptFrame};
@@ -9,11 +10,7 @@ use recordings::types::{Mesh, Pose};
 
 /// Vertices that coverage is judged on, at most.
 const JUDGED_VERTICES: usize = 30_000;
-/// Vertices that are drawn to find what hides what, at most.
-const DRAWN_VERTICES: usize = 400_000;
-/// A vertex is seen if the angle between its normal and the direction to the camera has a greater cosine (c2, relaxed) …
-const SEEN_COS: f32 = 0.17;
-/// … and seen well with this one (c2).
+/// A vertex is seen well if the angle between its normal and the direction to the camera has a greater cosine (c2).
 const WELL_COS: f32 = 0.5;
 /// A frame replaces a candidate near it if it is sharper by this factor.
 const SHARPER: f32 = 1.15;
@@ -123,6 +120,11 @@ impl Candidates {
         self.list = kept;
     }
 
+    /// Where the candidates stand, and the frames in reserve.
+    pub fn poses(&self) -> impl Iterator<Item = Pose> {
+        self.list.iter().chain(&self.reserve).map(|c| c.pose)
+    }
+
     /// Chooses keyframes and witnesses for the finished mesh.
     pub fn choose(mut self, mesh: &Mesh, rig: &Rig, config: &FusionConfig) -> Chosen {
         self.list.sort_by_key(|c| c.index);
@@ -161,34 +163,15 @@ fn spread<'a>(frames: &[&'a Candidate], n: usize) -> Vec<&'a Candidate> {
 }
 
 impl Candidate {
-    /// For each judged vertex: 0 not seen, 1 seen, 2 seen well. What hides what is decided by the mesh's own vertices,
-    /// drawn into a picture as coarse as `camera`.
+    /// For each judged vertex: 0 not seen, 1 seen, 2 seen well.
     fn sees(&self, mesh: &Mesh, judged: &[usize], camera: &Pinhole) -> Vec<u8> {
-        let t = Rigid::from(&self.pose.inverse());
-        let centre = self.pose.translation.as_vec3();
-        let mut nearest = vec![f32::INFINITY; camera.width * camera.height];
-        for v in mesh.positions.iter().step_by(mesh.positions.len().div_ceil(DRAWN_VERTICES).max(1)) {
-            let p = t.apply(*v);
-            if let Some(pixel) = camera.pixel(p) {
-                nearest[pixel] = nearest[pixel].min(p.z);
-            }
-        }
-        judged
-            .iter()
-            .map(|&i| {
-                let (v, n) = (mesh.positions[i], mesh.normals[i]);
-                let cos = (centre - v).normalize_or_zero().dot(n);
-                let p = t.apply(v);
-                let Some(pixel) = camera.pixel(p).filter(|_| cos > SEEN_COS) else { return 0 };
-                // A slanted surface spans some depth within a pixel.
-                let slack = 0.01 * p.z + 1.5 * p.z / (camera.fx * cos);
-                match (p.z < nearest[pixel] + slack, cos > WELL_COS) {
-                    (false, _) => 0,
-                    (true, false) => 1,
-                    (true, true) => 2,
-                }
-            })
-            .collect()
+        let view = View::new(mesh, &self.pose, camera);
+        let quality = |i: &usize| match view.sees(mesh.positions[*i], mesh.normals[*i]) {
+            None => 0,
+            Some(cos) if cos > WELL_COS => 2,
+            Some(_) => 1,
+        };
+        judged.iter().map(quality).collect()
     }
 }
 

@@ -12,6 +12,7 @@ mod rotate;
 mod shutter;
 mod timing;
 mod track;
+mod visible;
 mod volume;
 
 use camera::Rig;
@@ -49,6 +50,12 @@ pub enum Tracking {
     Lost,
 }
 
+/// Voxels are fine while the truncation distance holds this many standard deviations of depth, …
+const FINE_SIGMAS: f32 = 6.0;
+/// … and while a depth pixel covers no more of them than this: between the pixels of a slanted surface the band around it
+/// would have gaps.
+const FINE_PIXELS: f32 = 1.25;
+
 /// What came of one frame.
 #[derive(Debug, Clone)]
 pub struct FrameReport {
@@ -60,7 +67,9 @@ pub struct FrameReport {
     pub keep: Option<FrameId>,
     /// Blocks of the pool in use.
     pub blocks_used: u64,
-    /// True if the volume was coarsened at this frame.
+    /// Edge length of a voxel, metres.
+    pub voxel_size_m: f64,
+    /// True if the pool ran full and voxels are longer since this frame than was asked for.
     pub coarsened: bool,
 }
 
@@ -218,15 +227,11 @@ impl Fusion {
         let Some(pose) = found else { return Ok(self.lose()) };
         self.hold(&pose, stamp);
         // Depth into the volume.
-        let motion = self.frame.motion;
-        let world_from_depth = pose.compose(&motion.color_from_row(0.0)).compose(&self.rig.color_from_depth);
-        let sweep = motion.of_depth(&self.rig);
-        let integrated = stage("integrate", || {
-            self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth, &sweep)
-        });
-        self.stats.blocks_refused += integrated.refused;
-        self.last_blocks = integrated.blocks;
-        tracing::trace!(blocks = integrated.blocks, "integrated");
+        self.fuse_depth(&pose);
+        if self.leave_fine_voxels() {
+            // Once more, so that what is told reaches as far from the surface as the truncation distance does now.
+            self.fuse_depth(&pose);
+        }
         let coarsened = self.make_room();
         // What the next frames are tracked against.
         stage("remember", || self.remember(&pose));
@@ -240,6 +245,7 @@ impl Fusion {
             world_from_camera: Some(pose),
             keep,
             blocks_used: self.volume.used() as u64,
+            voxel_size_m: f64::from(self.volume.voxel_m()),
             coarsened,
         })
     }
@@ -260,8 +266,10 @@ impl Fusion {
         stats.blocks_total = self.volume.capacity() as u64;
         // What is no longer needed goes before the next thing grows.
         drop((self.anchors, self.reference, self.integrator));
-        let mesh = extract::extract(&self.volume, &threshold);
+        let mut mesh = extract::extract(&self.volume, &threshold);
         drop(self.volume);
+        visible::drop_unseen(&mut mesh, self.candidates.poses(), &self.rig.grey[0]);
+        extract::drop_specks(&mut mesh, threshold.min_triangles);
         let chosen = self.candidates.choose(&mesh, &self.rig, &self.config);
         stats.keyframe_coverage = chosen.coverage;
         FusionOutput {
@@ -455,6 +463,7 @@ impl Fusion {
             world_from_camera: None,
             keep: None,
             blocks_used: self.volume.used() as u64,
+            voxel_size_m: f64::from(self.volume.voxel_m()),
             coarsened: false,
         }
     }
@@ -475,16 +484,51 @@ impl Fusion {
         self.trajectory.push((stamp, *pose));
     }
 
-    /// Coarsens the volume when the pool is nearly full and a coarser voxel is allowed.
-    fn make_room(&mut self) -> bool {
-        let full = self.volume.used() as f64 >= self.config.coarsen_at * self.volume.capacity() as f64;
-        if !full || f64::from(self.volume.voxel_m()) * 2.0 > self.config.max_voxel_size_m * 1.001 {
+    /// Integrates the frame as seen from `pose`.
+    fn fuse_depth(&mut self, pose: &Pose) {
+        let motion = self.frame.motion;
+        let world_from_depth = pose.compose(&motion.color_from_row(0.0)).compose(&self.rig.color_from_depth);
+        let sweep = motion.of_depth(&self.rig);
+        let integrated = stage("integrate", || {
+            self.integrator.integrate(&mut self.volume, &self.rig, &self.frame.depth, &world_from_depth, &sweep)
+        });
+        self.stats.blocks_refused += integrated.refused;
+        self.last_blocks = integrated.blocks;
+        tracing::trace!(blocks = integrated.blocks, "integrated");
+    }
+
+    /// Goes over to voxels of the length that was asked for when fine ones become dear, or say more than depth does.
+    fn leave_fine_voxels(&mut self) -> bool {
+        let fine = f64::from(self.volume.voxel_m()) < 0.75 * self.config.voxel_size_m;
+        let far = self.frame.median_depth;
+        let noisy = FINE_SIGMAS * camera::depth_sigma(far) > self.volume.truncation_m();
+        let rough = far > FINE_PIXELS * self.volume.voxel_m() * self.rig.depth.fx;
+        let dear = self.last_blocks > self.config.fine_blocks as usize;
+        if !fine || !(noisy || rough || dear || self.is_nearly_full()) {
             return false;
         }
-        self.volume.coarsen();
-        self.integrator.coarsened();
+        self.coarsen();
+        tracing::info!(voxel_m = self.volume.voxel_m(), noisy, rough, dear, "no more fine voxels");
+        true
+    }
+
+    /// Coarsens the volume when the pool is nearly full and a coarser voxel is allowed.
+    fn make_room(&mut self) -> bool {
+        if !self.is_nearly_full() || f64::from(self.volume.voxel_m()) * 2.0 > self.config.max_voxel_size_m * 1.001 {
+            return false;
+        }
+        self.coarsen();
         self.stats.coarsenings += 1;
         true
+    }
+
+    fn is_nearly_full(&self) -> bool {
+        self.volume.used() as f64 >= self.config.coarsen_at * self.volume.capacity() as f64
+    }
+
+    fn coarsen(&mut self) {
+        self.volume.coarsen();
+        self.integrator.coarsened();
     }
 
     /// Keeps the frame as the next one's reference, and changes to another anchor where this one is too far away.

@@ -78,7 +78,7 @@ fn key_of(c: BlockCoord) -> Option<u64> {
 }
 
 impl Volume {
-    /// A volume with all blocks free.
+    /// A volume with all blocks free. Voxels are half as long as set, if they may be (`fine_blocks`).
     pub fn new(config: &FusionConfig) -> Self {
         let blocks = config.pool_blocks as usize;
         let table = (2 * blocks).next_power_of_two();
@@ -91,7 +91,7 @@ impl Volume {
             slots: vec![0; table],
             used: 0,
             high_water: 0,
-            voxel_m: config.voxel_size_m as f32,
+            voxel_m: config.voxel_size_m as f32 * if config.fine_blocks > 0 { 0.5 } else { 1.0 },
             truncation_voxels: config.truncation_voxels as f32,
         }
     }
@@ -363,7 +363,7 @@ mod tests {
     use super::*;
 
     fn sphere(blocks: u32, radius: f32) -> Volume {
-        let config = FusionConfig { pool_blocks: blocks, ..FusionConfig::default() };
+        let config = FusionConfig { pool_blocks: blocks, fine_blocks: 0, ..FusionConfig::default() };
         let mut volume = Volume::new(&config);
         let n = (radius / (volume.voxel_m() * 8.0)).ceil() as i32 + 1;
         for z in -n..n {

@@ -395,6 +395,43 @@ fn a_loop_around_a_small_object_closes() {
     assert!(off.len() > 10_000 && median < 0.002 && most < 0.006, "{median} m, {most} m");
 }
 
+/// A thin plate above the floor, seen from one side: behind its far rim, where no ray went, there is no wall, and its
+/// middle is all there. Near and small, so voxels are fine; with voxels as asked for, coarser.
+#[test]
+fn a_thin_plate_has_no_skirt() {
+    let sensor = world::sensor(320, 240);
+    let plate = World {
+        shapes: vec![Shape::Floor(0.0), Shape::Box(DVec3::new(-0.12, -0.1, 0.06), DVec3::new(0.12, 0.1, 0.064))],
+        mean: 120.0,
+        contrast: 60.0,
+        cell_m: 0.02,
+    };
+    let along = |i: usize| {
+        let a = 0.8 * libm::sin(i as f64 * std::f64::consts::TAU / 120.0);
+        let from = DVec3::new(0.42 * libm::sin(a), -0.42 * libm::cos(a), 0.5 + 0.05 * libm::cos(3.0 * a));
+        look_at(from, DVec3::new(0.0, 0.0, 0.06))
+    };
+    for (fine_blocks, voxel_size_m) in [(FusionConfig::default().fine_blocks, 0.0025), (0, 0.005)] {
+        let mut fusion = Fusion::new(&sensor, &FusionConfig { fine_blocks, ..small_config() }).unwrap();
+        let mut first = None;
+        for i in 0..60 {
+            let found = fusion.push(&plate.look(&sensor, &along(i), i)).unwrap().world_from_camera.expect("lost");
+            first.get_or_insert(found);
+        }
+        let truth_from_ours = along(0).compose(&first.unwrap().inverse());
+        let output = fusion.finish();
+        assert_eq!(output.stats.voxel_size_m, f64::from(voxel_size_m as f32));
+        let points: Vec<DVec3> =
+            output.mesh.positions.iter().map(|p| truth_from_ours.transform(p.as_dvec3())).collect();
+        let between = |lo: f64, hi: f64| points.iter().filter(|p| p.z > lo && p.z < hi).count();
+        let (skirt, whole) = (between(0.012, 0.05), between(0.055, 0.07));
+        println!("{voxel_size_m} m: {skirt} vertices in mid-air, {whole} on the plate");
+        assert!((skirt as f64) < 0.006 * whole as f64, "{voxel_size_m} m: {skirt} of {whole}");
+        let on_plate = |x: f64, y: f64| points.iter().any(|p| (*p - DVec3::new(x, y, 0.064)).length() < 0.006);
+        assert!((-10..=10).all(|x| (-8..=8).all(|y| on_plate(0.01 * f64::from(x), 0.01 * f64::from(y)))));
+    }
+}
+
 /// With dropped frames a hand-held turn on the spot reaches 8° from frame to frame.
 #[test]
 fn a_violent_turn_on_the_spot_is_followed() {
