@@ -90,7 +90,7 @@ section! {
         /// Mesh regularisation: target edge as a multiple of the median edge; 0 keeps the mesh as it is.
         regularise: f64 = 1.0, [0.0..=8.0], "median edges", "";
         /// Components with a smaller share of the largest component's vertices are specks and go.
-        speck_share: f64 = 0.005, [0.0..=1.0], "", "";
+        speck_share: f64 = 0.001, [0.0..=1.0], "", "";
         /// A fused mesh is regularised to at most about this many vertices: the estimator's memory and time grow with them.
         max_vertices: u32 = 80000, [1000..=2000000], "vertices", "";
         /// Weight of colour in the segmentation distance.
