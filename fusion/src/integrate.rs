@@ -122,8 +122,7 @@ impl Integrator {
         let mu = volume.truncation_m();
         let mut refused = 0;
         for v in (0..camera.height).step_by(ALLOCATION_STEP) {
-            let row = (v as f32 + 0.5) / camera.height as f32 - 0.5;
-            let t = Rigid::from(&world_from_depth.compose(&sweep.middle_from_row(row)));
+            let t = Rigid::from(&world_from_depth.compose(&sweep.middle_from_row(camera.row(v as f32))));
             for u in (0..camera.width).step_by(ALLOCATION_STEP) {
                 let z = depth[v * camera.width + u];
                 if z <= 0.0 {

@@ -449,17 +449,19 @@ fn a_violent_turn_on_the_spot_is_followed() {
     assert!(metres < 0.05 && degrees < 1.5, "{metres} m, {degrees}°");
 }
 
-/// A turn on the spot, back and forth, at up to 150° a second, colour smeared over ten pixels.
+/// Where the camera is at frame `t` of a turn on the spot, back and forth, at up to 150° a second.
+fn turning(t: f64) -> Pose {
+    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
+    let a = 40.0 * (1.0 - libm::cos(0.12 * t));
+    moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
+}
+
+/// The turn, colour smeared over ten pixels.
 #[test]
 fn a_fast_turn_is_followed_through_motion_blur() {
     let sensor = world::sensor(240, 180);
     let room = world::room();
-    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
-    let pose = |t: f64| {
-        let a = 40.0 * (1.0 - libm::cos(0.12 * t));
-        moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
-    };
-    let (rms, _) = moving_error(&sensor, &room, &pose, 64, 4, 0.0);
+    let (rms, _) = moving_error(&sensor, &room, &turning, 64, 4, 0.0);
     assert!(rms < 0.02, "{rms} m");
 }
 
@@ -491,13 +493,8 @@ fn moving_error(
 fn a_rolling_shutter_is_undone() {
     let sensor = world::sensor(240, 180);
     let room = world::room();
-    let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
-    let pose = |t: f64| {
-        let a = 40.0 * (1.0 - libm::cos(0.12 * t));
-        moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
-    };
     for (readout, most) in [(0.5, 0.01), (0.9, 0.02)] {
-        let (rms, worst) = moving_error(&sensor, &room, &pose, 80, 1, readout);
+        let (rms, worst) = moving_error(&sensor, &room, &turning, 80, 1, readout);
         println!("{readout} of the frame time: {rms:.4} m, at worst {worst:.4}");
         assert!(rms < most, "{readout}: {rms} m");
     }
