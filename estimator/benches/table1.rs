@@ -73,8 +73,8 @@ fn main() {
             timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &progress));
         let (segment, segmentation) =
             timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
-        let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::AUTO_BANDS));
-        let (traced, shade) = timed(|| transfer::trace(&mesh, &scene, sh::AUTO_BANDS, RAYS, config.seed, &|_| ()));
+        let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
+        let (traced, shade) = timed(|| transfer::trace(&mesh, &scene, sh::MAX_BANDS, RAYS, config.seed, &|_| ()));
         let (_, bounces) = timed(|| transfer::bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0));
         let gi = shade + bounces;
         let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
@@ -82,8 +82,8 @@ fn main() {
             Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
         let settings = Settings {
             gi: true,
-            bands: sh::AUTO_BANDS,
-            most_bands: sh::AUTO_BANDS,
+            bands: sh::MAX_BANDS,
+            most_bands: sh::MAX_BANDS,
             bounces: 0,
             solver: SolverChoice::Robust,
         };

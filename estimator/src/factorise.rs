@@ -3,7 +3,7 @@
 use crate::albedo::{self, Detail, Known};
 use crate::inverse::{self, Observed, Solution};
 use crate::literal;
-use crate::transfer::{self, Traced, Transfer};
+use crate::transfer::{self, Bounced, Traced, Transfer};
 use firmware_config::SolverChoice;
 use glam::Vec3;
 use std::sync::Arc;
@@ -62,31 +62,59 @@ pub struct Colors<'a> {
     pub segments: usize,
 }
 
+impl<'a> Colors<'a> {
+    /// The same under a transfer.
+    #[must_use]
+    pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {
+        let Self { lit_color, lit_weight, segment, segments } = *self;
+        Observed { transfer, lit_color, lit_weight, segment, segments }
+    }
+}
+
+/// An earlier answer.
+#[derive(Debug, Clone)]
+pub struct Start {
+    solution: Solution,
+    albedo: Vec<Vec3>,
+    bounced: Option<Bounced>,
+}
+
+impl From<Factorised> for Start {
+    fn from(found: Factorised) -> Self {
+        Self { solution: found.solution, albedo: found.detail.albedo, bounced: found.transfer.bounced }
+    }
+}
+
+impl Factorised {
+    /// To go on from.
+    #[must_use]
+    pub fn start(&self) -> Start {
+        Start {
+            solution: self.solution.clone(),
+            albedo: self.detail.albedo.clone(),
+            bounced: self.transfer.bounced.clone(),
+        }
+    }
+}
+
 /// Factorises lit colours. Goes on from `start` where an earlier answer stands.
 #[must_use]
-pub fn factorise(
-    traced: Arc<Traced>,
-    colors: &Colors,
-    settings: &Settings,
-    start: Option<(Solution, Detail)>,
-) -> Factorised {
+pub fn factorise(traced: Arc<Traced>, colors: &Colors, settings: &Settings, start: Option<Start>) -> Factorised {
     let Settings { gi, bands, bounces, solver, .. } = *settings;
     let one_segment = vec![0; colors.segment.len()];
     let transfer_error = relative_error(&traced);
     let mut transfer = Transfer { traced, bounced: None };
     let bounce = |transfer: &mut Transfer, albedo: &[Vec3]| {
         if gi {
-            transfer.bounced = Some(transfer::bounce_and_rest(&transfer.traced, albedo, bounces)); // Eq. (8)
+            // Eq. (8)
+            transfer.bounced = Some(match transfer.bounced.take() {
+                Some(before) if bounces == 0 => transfer::bounce_on(&transfer.traced, albedo, before),
+                _ => transfer::bounce_and_rest(&transfer.traced, albedo, bounces),
+            });
         }
     };
     let solve = |transfer: &Transfer, bands: usize, start: Option<&Solution>| {
-        let observed = Observed {
-            transfer,
-            lit_color: colors.lit_color,
-            lit_weight: colors.lit_weight,
-            segment: colors.segment,
-            segments: colors.segments,
-        };
+        let observed = colors.under(transfer);
         // Eqs. (9)–(12).
         let (mut solution, literal) = match solver {
             SolverChoice::Robust => (inverse::solve(&observed, bands, start), None),
@@ -117,7 +145,10 @@ pub fn factorise(
         (solution, detail, irradiance)
     };
     let (before, albedo) = match start {
-        Some((solution, detail)) => (Some(solution), detail.albedo),
+        Some(start) => {
+            transfer.bounced = start.bounced;
+            (Some(start.solution), start.albedo)
+        }
         None => {
             // What the albedo is takes no fine light to see.
             bounce(&mut transfer, &vec![Vec3::splat(MID_GREY); colors.lit_color.len()]);
@@ -129,9 +160,17 @@ pub fn factorise(
     Factorised { transfer, solution, detail, irradiance }
 }
 
+/// The light that explains the colours with fewer bands than `found` has.
+#[must_use]
+pub fn narrowed(found: &Factorised, colors: &Colors, bands: usize) -> Solution {
+    let mut solution = inverse::solve(&colors.under(&found.transfer), bands, Some(&found.solution));
+    fix_scale(&mut solution, colors);
+    solution
+}
+
 /// What a solution under a first transfer says, as a start for [`factorise`].
 #[must_use]
-pub fn start_from(transfer: &Transfer, colors: &Colors, mut solution: Solution) -> (Solution, Detail) {
+pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution) -> Start {
     fix_scale(&mut solution, colors);
     let irradiance = transfer.irradiance(&solution.light);
     let known = Known {
@@ -141,8 +180,8 @@ pub fn start_from(transfer: &Transfer, colors: &Colors, mut solution: Solution) 
         transfer_error: &relative_error(&transfer.traced),
         segment: colors.segment,
     };
-    let detail = albedo::detail(&known, &solution.albedo);
-    (solution, detail)
+    let albedo = albedo::detail(&known, &solution.albedo).albedo;
+    Start { solution, albedo, bounced: transfer.bounced }
 }
 
 /// Applies [`SCALE_RULE`]; returns the factors that the albedos were multiplied by.

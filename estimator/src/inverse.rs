@@ -23,7 +23,7 @@ const FOLD_BLOCK: u32 = 64;
 /// One block in so many is held out.
 const FOLDS: u32 = 5;
 /// Votes of one partial sum.
-const PIECE: usize = 1024;
+const PIECE: usize = 256;
 /// Lit colours count relative to themselves, but not below this share of the segment's median.
 pub(crate) const DARK_FLOOR: f64 = 0.15;
 /// No channel's colours are taken to be smaller than this share of the brightest channel's.
@@ -43,6 +43,9 @@ const ALBEDO_TOLERANCE: f64 = 1e-4;
 const SWEEPS: usize = 12;
 /// Weights of the pull towards the mean radiance that are tried, strongest first.
 const PULLS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
+/// Bands by which the pull is chosen at most: what is above lowers held-out errors by so little that a pull which bends the
+/// albedos would be taken for as good.
+const PULL_BANDS: usize = 7;
 /// Directions that the surfaces tell less of than this share of the best told one are held at the mean by more than the
 /// pull: what few vertices see between rims and holes is their own error rather than light.
 const HARDLY_TOLD: f64 = 5e-3;
@@ -153,6 +156,13 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>) -> Sol
     }
 }
 
+/// True if a solution with `bands` may go on from this one with its pull.
+#[must_use]
+pub fn tells_pull(solution: &Solution, bands: usize) -> bool {
+    let fewer = solution.light.len().isqrt();
+    fewer == bands || (PULL_BANDS..bands).contains(&fewer)
+}
+
 struct Channel {
     light: DVector<f64>,
     standard_deviation: Vec<f64>,
@@ -228,29 +238,24 @@ fn accumulate(observed: &Observed, votes: &[Vote], weights: &[f64], k: usize, ch
     let partial: Vec<[Statistics; 2]> = pieces
         .par_iter()
         .map(|(_, range)| {
-            let mut sums = [Statistics::zero(k), Statistics::zero(k)];
-            let mut row = vec![0.0; k];
-            for j in range.clone() {
-                let vertex = votes[j].vertex as usize;
-                let w = weights[j];
-                if w <= 0.0 {
-                    continue;
+            [false, true].map(|held_out| {
+                let voting: Vec<usize> =
+                    range.clone().filter(|&j| votes[j].held_out == held_out && weights[j] > 0.0).collect();
+                let mut rows = DMatrix::zeros(k, voting.len());
+                let mut weighted = DMatrix::zeros(k, voting.len());
+                let mut sum = Statistics::zero(k);
+                for (n, &j) in voting.iter().enumerate() {
+                    let (vertex, w) = (votes[j].vertex as usize, weights[j]);
+                    let f = f64::from(observed.lit_color[vertex][channel]);
+                    observed.transfer.row(vertex, channel, rows.column_mut(n).as_mut_slice());
+                    weighted.column_mut(n).axpy(w, &rows.column(n), 0.0);
+                    sum.cross.axpy(w * f, &rows.column(n), 1.0);
+                    sum.square += w * f * f;
+                    sum.weight += w;
                 }
-                observed.transfer.row(vertex, channel, &mut row);
-                let f = f64::from(observed.lit_color[vertex][channel]);
-                let sum = &mut sums[usize::from(votes[j].held_out)];
-                for (a, ta) in row.iter().enumerate() {
-                    let wt = w * ta;
-                    let column = &mut sum.gram.column_mut(a);
-                    for (g, tb) in column.iter_mut().zip(&row[..=a]) {
-                        *g += wt * tb;
-                    }
-                    sum.cross[a] += wt * f;
-                }
-                sum.square += w * f * f;
-                sum.weight += w;
-            }
-            sums
+                sum.gram.gemm(1.0, &weighted, &rows.transpose(), 0.0);
+                sum
+            })
         })
         .collect();
     let mut total = [vec![Statistics::zero(k); observed.segments], vec![Statistics::zero(k); observed.segments]];

@@ -140,7 +140,7 @@ pub fn estimate_on(
         response: scan.sensor.response,
         keyframes: stages::keyframes(scan, &ready),
         segments: stages::segment_table(&ready.segment, &found, &gloss),
-        light: stages::light(&found),
+        light: stages::light(&ready, &found, &gloss),
         transfer: stages::transfer_level(&found).into(),
         mesh: ready.mesh,
         segment: ready.segment,

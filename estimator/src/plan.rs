@@ -92,7 +92,7 @@ impl Shape {
             pose_rounds: if config.refine_poses == Switch::Off { 0 } else { config.association_rounds },
             rays: if config.rays > 0 { config.rays } else { auto },
             bounces: config.bounces,
-            bands: if config.bands > 0 { config.bands as usize } else { sh::AUTO_BANDS },
+            bands: if config.bands > 0 { config.bands as usize } else { sh::MAX_BANDS },
             specular: config.specular != Switch::Off,
         }
     }

@@ -2,8 +2,10 @@
 
 use crate::association::Association;
 use crate::factorise::{Colors, Factorised, Settings, factorise};
+use crate::inverse;
 use crate::material;
 use crate::scene::Scene;
+use crate::sh;
 use crate::specular::{self, Gloss, Prediction, Reflection};
 use glam::Vec3;
 use recordings::result::Decision;
@@ -75,8 +77,8 @@ pub fn refit(
     let cleaned = |from: &Factorised, gloss: &[Gloss], settings: Settings| {
         let lit_color = specular::clean(&reflection(mesh, scene, from), fields, segment, gloss);
         let colors = colors(&lit_color, fields, segment, segments);
-        let same_bands = from.solution.light.len() == settings.bands * settings.bands;
-        let start = same_bands.then(|| (from.solution.clone(), from.detail.clone()));
+        let goes_on = inverse::tells_pull(&from.solution, settings.bands);
+        let start = goes_on.then(|| from.start());
         let found = factorise(Arc::clone(&from.transfer.traced), &colors, &settings, start);
         let gloss = fit(&found, fields);
         let prediction = judge(&found, &gloss);
@@ -157,8 +159,10 @@ fn colors<'a>(lit_color: &'a [Vec3], fields: &'a Association, segment: &'a [u32]
     Colors { lit_color, lit_weight: &fields.lit_weight, segment, segments }
 }
 
-/// What predicts mirrored light.
+/// What predicts mirrored light: the bands that mirrors show.
 #[must_use]
 pub fn reflection<'a>(mesh: &'a Mesh, scene: &'a Scene, found: &'a Factorised) -> Reflection<'a> {
-    Reflection { mesh, scene, light: &found.solution.light, irradiance: &found.irradiance }
+    let light = &found.solution.light;
+    let light = &light[..light.len().min(sh::MIRRORED_BANDS * sh::MIRRORED_BANDS)];
+    Reflection { mesh, scene, light, irradiance: &found.irradiance }
 }

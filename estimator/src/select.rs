@@ -1,11 +1,9 @@
 //! Model only what the scene requires (DESIGN §7): bands, transfer and rays by evidence from this scene.
 
-use crate::albedo::Detail;
-use crate::factorise::{self, Colors, Factorised, MID_GREY};
+use crate::factorise::{self, Colors, Factorised, MID_GREY, Start};
 use crate::inverse::{self, DARK_FLOOR, Observed, Solution};
 use crate::robust::{Gain, median};
 use crate::scene::Scene;
-use crate::sh;
 use crate::transfer::{self, ERROR_OF_TWICE, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
@@ -101,18 +99,12 @@ pub fn bands(
     let grey = || vec![Vec3::splat(MID_GREY); traced.vertices()];
     let bounced = gi.then(|| transfer::bounce_and_rest(traced, &grey(), bounces));
     let transfer = Transfer { traced: Arc::clone(traced), bounced };
-    let observed = Observed {
-        transfer: &transfer,
-        lit_color: evidence.lit_color,
-        lit_weight: evidence.lit_weight,
-        segment: evidence.segment,
-        segments: evidence.segments,
-    };
+    let observed = evidence.under(&transfer);
     let floors = floors(evidence);
-    let level = |n: usize| Level::new(&observed, evidence, &floors, n);
+    let level = |n: usize, fewer: Option<&Level>| Level::new(&observed, evidence, &floors, n, fewer);
     let mut tried = Vec::new();
     let mut note = |l: &Level| tried.push((l.bands, l.error()));
-    let mut best = level(UPWARD[0].clamp(least, most));
+    let mut best = level(UPWARD[0].clamp(least, most), None);
     note(&best);
     let mut next: Option<(usize, Gain)> = None;
     let mut without = 0;
@@ -120,7 +112,7 @@ pub fn bands(
         if n <= best.bands || without >= PATIENCE || next.is_some_and(|(tried, _)| n <= tried) {
             continue;
         }
-        let higher = level(n);
+        let higher = level(n, Some(&best));
         note(&higher);
         let gain = higher.gain_over(&best);
         if is_significant(&gain) {
@@ -132,7 +124,7 @@ pub fn bands(
     if best.bands <= UPWARD[0] {
         let first = best.bands;
         for n in DOWNWARD.into_iter().filter(|n| (least..first).contains(n)) {
-            let lower = level(n);
+            let lower = level(n, None);
             note(&lower);
             let gain = best.gain_over(&lower);
             if is_significant(&gain) {
@@ -145,10 +137,9 @@ pub fn bands(
     tried.sort_unstable_by_key(|t| t.0);
     let tried: Vec<String> = tried.iter().map(|(n, e)| format!("{n}: {e:.4}")).collect();
     let chosen = best.bands;
-    let next_level = next.map_or_else(
-        || if most < sh::MAX_BANDS { format!("more than {most} bands: on request") } else { String::new() },
-        |(n, g)| format!("{n} bands: held-out error lower by {:.5} ± {:.5}", g.mean, g.error),
-    );
+    let next_level = next.map_or_else(String::new, |(n, g)| {
+        format!("{n} bands: held-out error lower by {:.5} ± {:.5}", g.mean, g.error)
+    });
     let condition = best.condition;
     let decision = Decision {
         name: "bands".into(),
@@ -162,7 +153,7 @@ pub fn bands(
         next_level,
     };
     let held_out = best.error();
-    let start = factorise::start_from(&transfer, evidence, best.solution);
+    let start = factorise::start_from(transfer, evidence, best.solution);
     Selected { bands: chosen, held_out, decision, start }
 }
 
@@ -175,7 +166,7 @@ pub struct Selected {
     /// Why.
     pub decision: Decision,
     /// Where the factorisation may go on from.
-    pub start: (Solution, Detail),
+    pub start: Start,
 }
 
 /// What errors are relative to at least, per segment.
@@ -239,8 +230,10 @@ struct Level {
 }
 
 impl Level {
-    fn new(observed: &Observed, evidence: &Colors, floors: &[f64], bands: usize) -> Self {
-        let solution = inverse::solve(observed, bands, None);
+    /// Goes on from `fewer` bands where those are enough to choose the pull by.
+    fn new(observed: &Observed, evidence: &Colors, floors: &[f64], bands: usize, fewer: Option<&Self>) -> Self {
+        let start = fewer.map(|f| &f.solution).filter(|s| inverse::tells_pull(s, bands));
+        let solution = inverse::solve(observed, bands, start);
         let irradiance = observed.transfer.irradiance(&solution.light);
         let blocks = left_out(evidence, floors, &solution.albedo, &irradiance);
         Self { bands, blocks, condition: solution.condition, solution }

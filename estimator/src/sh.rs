@@ -6,9 +6,8 @@ use std::sync::LazyLock;
 
 /// Most bands (l_max + 1) there are.
 pub const MAX_BANDS: usize = 9;
-/// Bands that are enough for matte things: cosines take all but a hundredth of what is above, and a gloss weight without
-/// a width mirrors what is above too sharply.
-pub const AUTO_BANDS: usize = 7;
+/// Bands of the light that mirrors show: a gloss weight without a width mirrors what is above too sharply.
+pub const MIRRORED_BANDS: usize = 7;
 /// Coefficients of [`MAX_BANDS`].
 pub const MAX_COEFFICIENTS: usize = MAX_BANDS * MAX_BANDS;
 /// Directions that [`eval_lanes`] takes at a time.

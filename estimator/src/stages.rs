@@ -1,11 +1,9 @@
 //! The stages of an estimate, each on its own: `estimate()` runs them once, the trade runs some of them many times.
 
-use crate::albedo::Detail;
 use crate::association::{self, Association, Effort, Setting};
 use crate::cost::Size;
-use crate::factorise::{Colors, Factorised, Settings, factorise};
+use crate::factorise::{Colors, Factorised, Settings, Start, factorise, narrowed};
 use crate::graph::Graph;
-use crate::inverse::Solution;
 use crate::plan::Plan;
 use crate::scene::Scene;
 use crate::select;
@@ -160,7 +158,7 @@ pub struct Settled {
     /// Transfer level, bounces and bands.
     pub settings: Settings,
     /// Where the factorisation may start from.
-    pub start: Option<(Solution, Detail)>,
+    pub start: Option<Start>,
 }
 
 /// Bounces, bands and rays, by evidence within what the plan allows.
@@ -234,7 +232,7 @@ pub fn refine(
         next_level: format!("{} rays were chosen before gloss was known", traced.rays),
     });
     let settings = Settings { bands, bounces: plan.shape().bounces, ..*settings };
-    factorise(better, &ready.colors(), &settings, Some((found.solution, found.detail)))
+    factorise(better, &ready.colors(), &settings, Some(found.into()))
 }
 
 /// Frames that no step used, as far as there is time.
@@ -285,14 +283,21 @@ pub fn keyframes(scan: &Scan, ready: &Ready) -> Vec<ResultKeyframe> {
     keyframes.collect()
 }
 
-/// The light found.
+/// The light found. Where there is gloss, it has the bands that weights mirror ([`sh::MIRRORED_BANDS`]) at most, though albedo
+/// and irradiance were told with more.
 #[must_use]
-pub fn light(found: &Factorised) -> Light {
+pub fn light(ready: &Ready, found: &Factorised, gloss: &[Gloss]) -> Light {
+    let mirrored = gloss.iter().any(|g| g.significant);
+    let solution = if mirrored && found.solution.light.len() > sh::MIRRORED_BANDS * sh::MIRRORED_BANDS {
+        &narrowed(found, &ready.colors(), sh::MIRRORED_BANDS)
+    } else {
+        &found.solution
+    };
     Light {
-        coefficients: found.solution.light.clone(),
-        standard_deviation: found.solution.standard_deviation.clone(),
+        coefficients: solution.light.clone(),
+        standard_deviation: solution.standard_deviation.clone(),
         directions: inverse::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
-        radiance: found.solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
+        radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
     }
 }
 

@@ -7,9 +7,7 @@ mod truth;
 
 pub use truth::{Answer, Truth};
 
-use crate::albedo::Detail;
-use crate::factorise::{Factorised, Settings, factorise};
-use crate::inverse::Solution;
+use crate::factorise::{Factorised, Settings, Start, factorise};
 use crate::plan::{self, Machine, Plan, WallClock};
 use crate::stages::{self, Ready};
 use crate::transfer::{self, Traced};
@@ -238,7 +236,7 @@ impl Sweep<'_> {
         shared: &mut Shared,
         traced: &(Arc<Traced>, f64),
         settings: Settings,
-        start: Option<(Solution, Detail)>,
+        start: Option<Start>,
         by_itself: Option<(&EstimatorConfig, &mut Plan)>,
     ) {
         if self.is_over() {

@@ -54,7 +54,7 @@ pub struct Traced {
 }
 
 /// Interreflected light per vertex and channel for one set of albedos.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Bounced {
     /// `[vertex][channel][INDIRECT_BANDS²]`.
     rows: Vec<f32>,
@@ -344,6 +344,14 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
     let most = if bounces == 0 { MOST_BOUNCES } else { bounces };
     let Series { bounces, share, last_share } = series::<INDIRECT>(traced, albedo, &mut rows, most, bounces == 0);
     Bounced { rows, bounces, share, last_share }
+}
+
+/// All bounces that matter, on from those for other albedos or rays: whatever the series starts from, it ends at the light
+/// that reproduces itself, and from near by it takes fewer bounces to.
+#[must_use]
+pub fn bounce_on(traced: &Traced, albedo: &[Vec3], mut from: Bounced) -> Bounced {
+    let Series { bounces, share, last_share } = series::<INDIRECT>(traced, albedo, &mut from.rows, MOST_BOUNCES, true);
+    Bounced { rows: from.rows, bounces: from.bounces.max(bounces), share, last_share }
 }
 
 /// The same where `bounces` are fewer than matter: how much more light all of them bring under a uniform sky, vertex by
