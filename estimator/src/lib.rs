@@ -148,7 +148,7 @@ pub fn estimate_on(
         albedo: found.detail.albedo,
         confidence: found.detail.confidence,
         decisions: ready.decisions,
-        cuts: plan.cuts,
+        cuts: plan.cuts(),
         warnings,
         albedo_scale_rule: factorise::SCALE_RULE.into(),
         witnesses,

@@ -1,5 +1,6 @@
 //! What a run may spend, and on what: the machine is measured, all stages are planned to fit, the clock is watched, and
-//! what is cut is written down. Bounces give way first, then rays, then what only refines, then vertices.
+//! what is cut is written down. Bounces give way first, then rays, then vertices beyond those that tell enough, then what
+//! refines, then vertices again.
 
 use crate::Options;
 use crate::cost::{self, Size};
@@ -18,13 +19,16 @@ const FEW_RAYS: u32 = 32;
 const LEAST_RAYS: u32 = 8;
 /// Keyframes that every second one is left out of at least.
 const MANY_KEYFRAMES: usize = 12;
+/// Vertices that tell light and gloss nearly as well as more do: what is above gives way before gloss does, which nine tenths
+/// of the albedo's worst errors come from where it is not looked for.
+const TELLING_VERTICES: f64 = 40_000.0;
 /// Fewest vertices that a mesh is cut to, and the factor of one cut.
 const LEAST_VERTICES: f64 = 2000.0;
 const VERTEX_CUT: f64 = 0.7;
 /// Share of the time left that is planned with: costs are estimates, and machines stall.
 const USABLE: f64 = 0.7;
 /// Reference seconds of one slice of the speed probe.
-const PROBE_SECONDS: f64 = 1.8e-3;
+const PROBE_SECONDS: f64 = 0.9e-3;
 /// Evaluations of one slice, and tasks they are shared among.
 const PROBE_EVALUATIONS: u32 = 16_000;
 const PROBE_TASKS: u32 = 16;
@@ -33,8 +37,14 @@ const LEAST_SLICES: u32 = 4;
 /// Where the budget may bind, the probe goes on for this share of it: a machine that is halted now and then is fast in
 /// between.
 const PROBE_SHARE: f64 = 0.04;
+/// A stall came again if there was another this share as long.
+const AGAIN: f64 = 0.2;
 /// The budget cannot bind if all is done in this share of it.
 const CLEARLY_ENOUGH: f64 = 0.125;
+
+/// How cuts of the scan itself begin, which stay when others are taken back.
+const VERTICES_CUT: &str = "vertices: ";
+const KEYFRAMES_CUT: &str = "keyframes: ";
 
 /// What tells the time. On a simulated machine, time passes as work is reported.
 pub trait Machine: Sync {
@@ -142,6 +152,8 @@ impl Shape {
             next.rays = (self.rays / 2).max(FEW_RAYS);
         } else if self.pose_rounds > 2 {
             next.pose_rounds = 2;
+        } else if self.size(full).vertices * VERTEX_CUT >= TELLING_VERTICES {
+            next.vertices = (self.size(full).vertices * VERTEX_CUT) as usize;
         } else if self.specular {
             next.specular = false;
         } else if self.pose_rounds > 0 {
@@ -181,10 +193,10 @@ impl Shape {
             cuts.push(format!("bands: at most {} instead of {}", self.bands, before.bands));
         }
         if self.keyframe_stride != before.keyframe_stride {
-            cuts.push(format!("keyframes: every {}nd of {:.0}", self.keyframe_stride, full.keyframes));
+            cuts.push(format!("{KEYFRAMES_CUT}every {}nd of {:.0}", self.keyframe_stride, full.keyframes));
         }
         if self.vertices < before.vertices {
-            cuts.push(format!("vertices: about {} instead of {:.0}", self.vertices, before.size(full).vertices));
+            cuts.push(format!("{VERTICES_CUT}about {} instead of {:.0}", self.vertices, before.size(full).vertices));
         }
         cuts
     }
@@ -201,9 +213,12 @@ pub struct Plan<'a> {
     /// Reference seconds of work done since the probe, and when it ended.
     work: f64,
     since: f64,
+    /// All that was asked for, what is planned of it, and what that leaves out, in words.
+    full: Shape,
     shape: Shape,
-    /// What was cut, in words.
-    pub cuts: Vec<String>,
+    planned: Vec<String>,
+    /// What was cut for good, in words.
+    cut: Vec<String>,
 }
 
 impl<'a> Plan<'a> {
@@ -212,7 +227,9 @@ impl<'a> Plan<'a> {
     pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
         let shape = Shape::full(config, options.rounds);
         let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
-        let mut plan = Self { machine, budget, size, probed: 1.0, work: 0.0, since: 0.0, shape, cuts: Vec::new() };
+        let (planned, cut) = (Vec::new(), Vec::new());
+        let mut plan =
+            Self { machine, budget, size, probed: 1.0, work: 0.0, since: 0.0, full: shape, shape, planned, cut };
         if budget.is_finite() {
             plan.probe(shape.all(&size));
             let found = plan.fitting(shape, |s| s.all(&size), f64::INFINITY);
@@ -227,6 +244,17 @@ impl<'a> Plan<'a> {
         self.shape
     }
 
+    /// What was cut, in words.
+    #[must_use]
+    pub fn cuts(&self) -> Vec<String> {
+        self.planned.iter().chain(&self.cut).cloned().collect()
+    }
+
+    /// Notes something that was left out for want of time.
+    pub fn leave_out(&mut self, what: String) {
+        self.cut.push(what);
+    }
+
     /// Takes a share of the vertices and every `stride`th keyframe only.
     pub fn restrict(&mut self, vertices: f64, stride: usize) {
         if vertices < 1.0 {
@@ -238,7 +266,7 @@ impl<'a> Plan<'a> {
     /// Speed of this machine in reference seconds a second. `needed` is what there is to do. A slice that takes longest is
     /// left out, as a machine may stall once; one that stalls again and again is as slow as that makes it.
     fn probe(&mut self, needed: f64) {
-        let (mut slices, mut spent, mut longest) = (0, 0.0, 0.0f64);
+        let (mut slices, mut spent, mut longest, mut second) = (0, 0.0, 0.0f64, 0.0f64);
         let mut before = self.machine.now();
         loop {
             let evaluated: f32 = (0..PROBE_TASKS).into_par_iter().map(probe_slice).collect::<Vec<f32>>().iter().sum();
@@ -246,13 +274,16 @@ impl<'a> Plan<'a> {
             self.machine.worked(PROBE_SECONDS);
             slices += 1;
             let now = self.machine.now();
-            spent += now - before;
-            longest = longest.max(now - before);
+            let slice = now - before;
+            spent += slice;
+            second = second.max(slice.min(longest));
+            longest = longest.max(slice);
             before = now;
             if slices < LEAST_SLICES {
                 continue;
             }
-            let steady = (spent - longest).max(1e-9);
+            let left_out = if second < AGAIN * longest { longest } else { 0.0 };
+            let steady = (spent - left_out).max(1e-9);
             self.probed = f64::from(slices - 1) * PROBE_SECONDS / steady;
             let enough = needed < CLEARLY_ENOUGH * self.probed * (self.budget - now);
             if enough || steady >= PROBE_SHARE * self.budget {
@@ -290,9 +321,8 @@ impl<'a> Plan<'a> {
 
     fn take(&mut self, shape: Shape) {
         let speed = self.speed();
-        for cut in shape.cuts_from(&self.shape, &self.size) {
-            self.cuts.push(format!("{cut} (planned for a machine {speed:.2} times as fast as the reference)"));
-        }
+        let told = |cut| format!("{cut} (planned for a machine {speed:.2} times as fast as the reference)");
+        self.planned = shape.cuts_from(&self.full, &self.size).into_iter().map(told).collect();
         self.shape = shape;
     }
 
@@ -309,20 +339,37 @@ impl<'a> Plan<'a> {
         let coarser = (self.shape.vertices as f64) < self.size.vertices;
         self.worked(cost::mesh(&self.size, coarser));
         self.size.vertices = vertices as f64;
-        self.shape.vertices = vertices;
+        (self.shape.vertices, self.full.vertices) = (vertices, vertices);
+        self.full.keyframe_stride = self.shape.keyframe_stride;
+        // The mesh is what it is from now on, and so are the keyframes.
+        let is_fixed = |cut: &String| cut.starts_with(VERTICES_CUT) || cut.starts_with(KEYFRAMES_CUT);
+        let (fixed, planned) = std::mem::take(&mut self.planned).into_iter().partition(is_fixed);
+        (self.cut, self.planned) = (fixed, planned);
     }
 
-    /// True if another round of pose refinement fits; it and the final round count as work.
+    /// Rounds of pose refinement that are begun at most, [`Self::pose_round`] willing.
+    #[must_use]
+    pub fn most_pose_rounds(&self) -> u32 {
+        self.full.pose_rounds
+    }
+
+    /// True if another round of pose refinement fits; it and the final round count as work. Rounds that were not planned fit
+    /// if gloss can be looked for besides.
     pub fn pose_round(&mut self, round: u32) -> bool {
         let size = self.shape.size(&self.size);
         if round > 0 {
             self.worked(cost::association(&size));
         }
         let pictures = if round == 0 { cost::pictures(&size) } else { 0.0 };
-        let rest = pictures + 2.0 * cost::association(&size) + self.least(&size);
-        let fits = rest <= self.left();
-        if !fits && round < self.shape.pose_rounds {
-            self.cuts.push(format!("pose refinement: ended after {round} rounds"));
+        let rest = if round < self.shape.pose_rounds {
+            self.least(&size)
+        } else {
+            Shape { specular: self.full.specular, ..self.shape }.after_association(&size)
+        };
+        let fits = pictures + 2.0 * cost::association(&size) + rest <= self.left();
+        let pose_rounds = if fits { self.full.pose_rounds } else { round };
+        if !fits || round >= self.shape.pose_rounds {
+            self.take(Shape { pose_rounds, ..self.shape });
         }
         fits
     }
@@ -344,19 +391,14 @@ impl<'a> Plan<'a> {
         let size = self.shape.size(&self.size);
         self.worked(cost::segmentation(&size));
         if self.budget.is_finite() {
-            // The mesh is what it is by now: only what follows may be cut.
-            let fixed = self.shape;
+            let pose_rounds = self.shape.pose_rounds;
             let rest = |s: &Shape| {
-                let s = Shape { vertices: fixed.vertices, keyframe_stride: fixed.keyframe_stride, ..*s };
+                let s = Shape { vertices: self.full.vertices, keyframe_stride: self.full.keyframe_stride, ..*s };
                 s.light(&size, 0.4) + s.end(&size)
             };
-            let found = self.fitting(self.shape, rest, f64::INFINITY);
-            self.take(Shape {
-                vertices: fixed.vertices,
-                keyframe_stride: fixed.keyframe_stride,
-                pose_rounds: fixed.pose_rounds,
-                ..found
-            });
+            let found = self.fitting(Shape { pose_rounds, ..self.full }, rest, f64::INFINITY);
+            let Shape { vertices, keyframe_stride, .. } = self.full;
+            self.take(Shape { vertices, keyframe_stride, pose_rounds, ..found });
         }
     }
 
@@ -398,15 +440,15 @@ impl<'a> Plan<'a> {
     pub fn fewer_rays(&mut self, rays: u32, have: u32) -> Option<u32> {
         let fewer = rays / 4;
         if have > 0 && fewer <= have {
-            self.cuts.push(format!("rays: {have} per vertex, since {rays} were not there in time"));
+            self.cut.push(format!("rays: {have} per vertex, since {rays} were not there in time"));
             self.shape.rays = have;
             return None;
         }
         if fewer < LEAST_RAYS || self.machine.now() > self.rays_until() {
-            self.cuts.push(format!("{ABANDONED}transfer with {rays} rays per vertex"));
+            self.cut.push(format!("{ABANDONED}transfer with {rays} rays per vertex"));
             return None;
         }
-        self.cuts.push(format!("rays: {fewer} per vertex, since {rays} were not there in time"));
+        self.cut.push(format!("rays: {fewer} per vertex, since {rays} were not there in time"));
         self.shape.rays = fewer;
         Some(fewer)
     }
@@ -421,7 +463,8 @@ impl<'a> Plan<'a> {
         let mut bounces = self.shape.bounces;
         let there = cost::rays(size.vertices, have);
         let cost = |rays, bounces| {
-            Shape { rays, bands, bounces, ..self.shape }.light(&size, blocked) - there + cost::output(&size)
+            let shape = Shape { rays, bands, bounces, ..self.shape };
+            shape.light(&size, blocked) - there + shape.end(&size)
         };
         while rays > have && cost(rays, bounces) > self.left() {
             match bounces {
@@ -430,11 +473,12 @@ impl<'a> Plan<'a> {
                 _ => bounces = 2,
             }
         }
-        self.take(Shape { bounces, ..self.shape });
         if rays < wanted {
-            self.cuts.push(format!("rays: {rays} per vertex instead of {wanted}"));
+            self.cut.push(format!("rays: {rays} per vertex instead of {wanted}"));
         }
-        self.shape.rays = rays;
+        // What was planned before anything was known of the scene no longer counts.
+        self.full.rays = rays;
+        self.take(Shape { bounces, rays, ..self.shape });
         rays
     }
 
@@ -447,7 +491,7 @@ impl<'a> Plan<'a> {
     pub fn light(&mut self, blocked: f64) -> (u32, usize) {
         if self.budget.is_finite() {
             let size = self.shape.size(&self.size);
-            let rest = |s: &Shape| s.light(&size, blocked) - cost::rays(size.vertices, s.rays) + cost::output(&size);
+            let rest = |s: &Shape| s.light(&size, blocked) - cost::rays(size.vertices, s.rays) + s.end(&size);
             let mut shape = self.shape;
             while rest(&shape) > self.left() && (shape.bounces != 1 || shape.bands > 3) {
                 match shape.bounces {
@@ -473,7 +517,7 @@ impl<'a> Plan<'a> {
         let size = self.shape.size(&self.size);
         let fits = cost::specular(&size, bands) + cost::output(&size) <= self.left();
         if self.shape.specular && !fits {
-            self.cuts.push("specular: not looked for".into());
+            self.cut.push("specular: not looked for".into());
         }
         self.shape.specular && fits
     }
@@ -482,6 +526,7 @@ impl<'a> Plan<'a> {
     pub fn specular_done(&mut self, bands: usize) {
         let size = self.shape.size(&self.size);
         self.worked(cost::specular(&size, bands));
+        (self.full.specular, self.shape.specular) = (false, false);
     }
 
     /// True if there is time to predict another witness frame.

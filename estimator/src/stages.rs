@@ -86,8 +86,11 @@ pub fn prepare(
     }
     plan.mesh_done(mesh.positions.len());
     let shape = plan.shape();
-    let effort =
-        Effort { rounds: shape.pose_rounds, stride: shape.keyframe_stride, go_on: &mut |round| plan.pose_round(round) };
+    let effort = Effort {
+        rounds: plan.most_pose_rounds(),
+        stride: shape.keyframe_stride,
+        go_on: &mut |round| plan.pose_round(round),
+    };
     let mut fields =
         association::associate_within(&mesh, &scene, &scan.keyframes, &scan.sensor.response, config, progress, effort);
     plan.association_done();
@@ -259,7 +262,7 @@ pub fn witnesses(
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {
         if !plan.witness() {
-            plan.cuts.push(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
+            plan.leave_out(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
             break;
         }
         compared.extend(witness::compare(&model, &setting, frame, config));

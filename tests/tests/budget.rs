@@ -136,12 +136,12 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     assert!(!watch(0.15), "at this pace they would take minutes");
     drop(watch);
     assert_eq!(plan.fewer_rays(64, 0), Some(16));
-    assert!(plan.cuts.iter().any(|c| c.starts_with("rays: 16")), "{:?}", plan.cuts);
+    assert!(plan.cuts().iter().any(|c| c.starts_with("rays: 16")), "{:?}", plan.cuts());
     stall(19.5);
     assert_eq!(plan.fewer_rays(256, 64), None, "a quarter of them is there already");
-    assert!(plan.cuts.iter().any(|c| c.starts_with("rays: 64")), "{:?}", plan.cuts);
+    assert!(plan.cuts().iter().any(|c| c.starts_with("rays: 64")), "{:?}", plan.cuts());
     assert_eq!(plan.fewer_rays(16, 0), None, "no time for any");
-    assert!(plan.cuts.iter().any(|c| c.starts_with(ABANDONED)), "{:?}", plan.cuts);
+    assert!(plan.cuts().iter().any(|c| c.starts_with(ABANDONED)), "{:?}", plan.cuts());
 }
 
 /// Rounds replace the clock: whatever the machine does, the bytes are the same.
