@@ -34,16 +34,16 @@ pub fn check(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factori
     let contradicted = explained > EXPLAINED && changed > CHANGED;
     let evidence = format!(
         "position explains {:.0} % of what light and albedo leave unexplained at equal normals, on vertices left out; it \
-         changes the light by {:.0} %; cost: {} vertices",
+         changes the light by {:.0} %",
         100.0 * explained,
         100.0 * changed,
-        samples.len()
     );
     let warning = format!("light_not_distant: {evidence}");
     let decision = Decision {
         name: "distant light".into(),
         choice: if contradicted { "contradicted" } else { "holds" }.into(),
         evidence,
+        cost: format!("{} vertices", samples.len()),
         next_level: "light that depends on position is not modelled".into(),
     };
     (decision, if contradicted { vec![warning] } else { Vec::new() })

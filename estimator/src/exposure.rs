@@ -81,9 +81,9 @@ pub fn solve(
                 }
                 .into(),
                 evidence: format!(
-                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}; cost: {} patches",
-                    all.len()
+                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
                 ),
+                cost: format!("{} patches", all.len()),
                 next_level: if use_rgb {
                     String::new()
                 } else if use_none {

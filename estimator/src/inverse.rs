@@ -45,7 +45,7 @@ const SWEEPS: usize = 12;
 const PULLS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
 /// Bands by which the pull is chosen at most: what is above lowers held-out errors by so little that a pull which bends the
 /// albedos would be taken for as good.
-const PULL_BANDS: usize = 7;
+pub const PULL_BANDS: usize = 7;
 /// Directions that the surfaces tell less of than this share of the best told one are held at the mean by more than the
 /// pull: what few vertices see between rims and holes is their own error rather than light.
 const HARDLY_TOLD: f64 = 5e-3;
@@ -154,13 +154,6 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>) -> Sol
         pull: [0, 1, 2].map(|c| channels[c].pull),
         condition: channels.iter().map(|c| c.condition).fold(0.0, f64::max),
     }
-}
-
-/// True if a solution with `bands` may go on from this one with its pull.
-#[must_use]
-pub fn tells_pull(solution: &Solution, bands: usize) -> bool {
-    let fewer = solution.light.len().isqrt();
-    fewer == bands || (PULL_BANDS..bands).contains(&fewer)
 }
 
 struct Channel {

@@ -124,12 +124,12 @@ impl Tracker {
             name: "pose".into(),
             choice: if refined { "refined" } else { "off" }.into(),
             evidence: format!(
-                "RMS step per round in pixels: {}; residual of edge pixels {:.4} at first, {:.4} at last; cost: {} rounds",
+                "RMS step per round in pixels: {}; residual of edge pixels {:.4} at first, {:.4} at last",
                 steps.join(", "),
                 self.first_residual,
                 self.last_residual,
-                steps.len()
             ),
+            cost: format!("{} rounds", steps.len()),
             next_level: steps.last().map_or(String::new(), |s| format!("another round: a step of less than {s} px")),
         })
     }

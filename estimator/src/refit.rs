@@ -2,7 +2,6 @@
 
 use crate::association::Association;
 use crate::factorise::{Colors, Factorised, Settings, factorise};
-use crate::inverse;
 use crate::material;
 use crate::scene::Scene;
 use crate::sh;
@@ -44,10 +43,11 @@ pub fn refit(
     let fit = |found: &Factorised, fields: &Association| {
         specular::fit(&reflection(mesh, scene, found), fields, segment, segments)
     };
-    let decision = |choice: &str, evidence: String, next_level: String| Decision {
+    let decision = |choice: &str, evidence: String, factorisations: usize, next_level: String| Decision {
         name: "specular".into(),
         choice: choice.into(),
         evidence,
+        cost: format!("{segments} segments fitted, {factorisations} factorisations"),
         next_level,
     };
     let matte = vec![Gloss::NONE; segments];
@@ -67,7 +67,7 @@ pub fn refit(
     let glossy = gloss.iter().filter(|g| g.significant).count();
     if glossy == 0 {
         let evidence = format!("no weight stands out of its error in {segments} segments{exposed}");
-        return (found, gloss, vec![decision("none", evidence, String::new())]);
+        return (found, gloss, vec![decision("none", evidence, 0, String::new())]);
     }
 
     let judge = |f: &Factorised, gloss: &[Gloss]| {
@@ -77,8 +77,9 @@ pub fn refit(
     let cleaned = |from: &Factorised, gloss: &[Gloss], settings: Settings| {
         let lit_color = specular::clean(&reflection(mesh, scene, from), fields, segment, gloss);
         let colors = colors(&lit_color, fields, segment, segments);
-        let goes_on = inverse::tells_pull(&from.solution, settings.bands);
-        let start = goes_on.then(|| from.start());
+        // More bands are new evidence for the pull, now that gloss is out.
+        let same_bands = from.solution.light.len() == settings.bands * settings.bands;
+        let start = same_bands.then(|| from.start());
         let found = factorise(Arc::clone(&from.transfer.traced), &colors, &settings, start);
         let gloss = fit(&found, fields);
         let prediction = judge(&found, &gloss);
@@ -104,20 +105,20 @@ pub fn refit(
     }
     let evidence = format!(
         "{glossy} of {segments} segments; mean relative error against the keyframes: {:.4} without gloss, {} with \
-         it{exposed}; cost: {} factorisations",
+         it{exposed}",
         without.error(),
         list(&told),
-        told.len()
     );
     if !holds {
         let next_level = format!("without gloss: {:.4} instead of {:.4}", told[0], without.error());
-        return (found, matte, vec![decision("none", evidence, next_level)]);
+        return (found, matte, vec![decision("none", evidence, told.len(), next_level)]);
     }
     let next_level = match told.last() {
         Some(last) if *last > best.prediction.error() => format!("once more: {last:.4}"),
         _ => String::new(),
     };
-    let mut decisions = vec![decision("lit colours cleaned of gloss and factorised once more", evidence, next_level)];
+    let mut decisions =
+        vec![decision("lit colours cleaned of gloss and factorised once more", evidence, told.len(), next_level)];
     let first = best.settings.bands;
     while best.settings.bands + 2 <= settings.most_bands {
         let before = best.settings.bands;
@@ -134,12 +135,12 @@ pub fn refit(
             name: "bands without gloss".into(),
             choice: best.settings.bands.to_string(),
             evidence: format!(
-                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}; cost: {} factorisations",
+                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}",
                 errors[0],
                 list(&errors[1..]),
                 more.bands,
-                errors.len() - 1
             ),
+            cost: format!("{} factorisations", errors.len() - 1),
             next_level: format!("{first} bands were chosen before gloss was known"),
         });
         if !better {

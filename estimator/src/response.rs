@@ -30,6 +30,7 @@ pub fn verify(association: &Association, response: &Response) -> (Decision, Opti
         name: "response".into(),
         choice: choice.into(),
         evidence,
+        cost: format!("{} values compared", shared.values().map(Vec::len).sum::<usize>()),
         next_level: "a response that is measured with a grey card".into(),
     };
     if shared.is_empty() {

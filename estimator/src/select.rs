@@ -27,8 +27,8 @@ const CAPPED: f64 = 0.5;
 const PILOT_VERTICES: usize = 1024;
 /// Rays of the pilot, and those that every selection begins with.
 pub const PILOT_RAYS: u32 = 64;
-/// The transfer's relative standard error may be this share of what is left unexplained: an eighth of the variance.
-const TRANSFER_SHARE: f64 = 0.35;
+/// The transfer's relative standard error may be this share of what is left unexplained: a tenth of the variance.
+const TRANSFER_SHARE: f64 = 0.316;
 /// Most rays that are chosen.
 const MOST_RAYS: u32 = 1024;
 /// Error with which a lit colour is known, however often it was seen: bounced light below it cannot be told.
@@ -145,11 +145,10 @@ pub fn bands(
         name: "bands".into(),
         choice: chosen.to_string(),
         evidence: format!(
-            "mean relative error on vertices left out, by bands: {}; condition {condition:.1e}; cost: {} unknowns a \
-             channel",
+            "mean relative error on vertices left out, by bands: {}; condition {condition:.1e}",
             tried.join(", "),
-            chosen * chosen
         ),
+        cost: format!("{} unknowns a channel", chosen * chosen),
         next_level,
     };
     let held_out = best.error();
@@ -232,7 +231,7 @@ struct Level {
 impl Level {
     /// Goes on from `fewer` bands where those are enough to choose the pull by.
     fn new(observed: &Observed, evidence: &Colors, floors: &[f64], bands: usize, fewer: Option<&Self>) -> Self {
-        let start = fewer.map(|f| &f.solution).filter(|s| inverse::tells_pull(s, bands));
+        let start = fewer.filter(|f| f.bands >= inverse::PULL_BANDS).map(|f| &f.solution);
         let solution = inverse::solve(observed, bands, start);
         let irradiance = observed.transfer.irradiance(&solution.light);
         let blocks = left_out(evidence, floors, &solution.albedo, &irradiance);

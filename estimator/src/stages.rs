@@ -225,13 +225,13 @@ pub fn refine(
         choice: better.rays.to_string(),
         evidence: format!(
             "mean relative error on vertices left out: {held_out:.4} without gloss; relative standard error of the transfer: \
-             {:.4} with {} rays, {:.4} with {}; cost: {:.1} million rays",
+             {:.4} with {} rays, {:.4} with {}",
             traced.relative_error(),
             traced.rays,
             better.relative_error(),
             better.rays,
-            traced.vertices() as f64 * f64::from(better.rays) / 1e6
         ),
+        cost: millions(&better),
         next_level: format!("{} rays were chosen before gloss was known", traced.rays),
     });
     let settings = Settings { bands, bounces: plan.shape().bounces, ..*settings };
@@ -354,6 +354,11 @@ pub fn unseen_light(found: &Factorised) -> Option<String> {
 /// A coefficient of the first band is untold if its deviation exceeds this share of the mean light's coefficient.
 const UNTOLD: f64 = 0.25;
 
+/// What the rays cost.
+fn millions(traced: &Traced) -> String {
+    format!("{:.1} million rays", traced.vertices() as f64 * f64::from(traced.rays) / 1e6)
+}
+
 /// What transfer was chosen, and on what evidence.
 #[must_use]
 pub fn transfer_decision(found: &Factorised) -> Decision {
@@ -367,17 +372,16 @@ pub fn transfer_decision(found: &Factorised) -> Decision {
         )
     });
     let level = transfer_level(found);
-    let (vertices, rays) = (traced.vertices(), traced.rays);
+    let rays = traced.rays;
     Decision {
         name: "transfer".into(),
         choice: level.into(),
         evidence: format!(
-            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}; cost: {:.1} \
-             million rays",
+            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}",
             100.0 * traced.mean_blocked(),
             traced.relative_error(),
-            vertices as f64 * f64::from(rays) / 1e6
         ),
+        cost: millions(traced),
         next_level: match level {
             "diffuse" => "visibility: less than the colours err".into(),
             "shade" => {

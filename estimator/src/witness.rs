@@ -101,6 +101,7 @@ pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decis
             mean(&|c| c.as_tracked[0]),
             mean(&|c| c.as_tracked[1]),
         ),
+        cost: format!("{} frames rendered", compared.len()),
         next_level: format!("their own colours on this mesh: {own:.1} dB, more takes smaller triangles or truer ones"),
     })
 }

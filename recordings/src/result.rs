@@ -18,7 +18,10 @@ const HEAD: Tag = *b"HEAD";
 const LIGHT: Tag = *b"LIGH";
 const TRIANGLES: Tag = *b"TRIA";
 const VERTICES: Tag = *b"VERT";
-const KNOWN: &[(Tag, u32)] = &[(HEAD, 1 << 26), (LIGHT, 1 << 24), (TRIANGLES, 1 << 30), (VERTICES, 1 << 30)];
+/// Costs of the decisions: programs that do not know it skip it.
+const COSTS: Tag = *b"COST";
+const KNOWN: &[(Tag, u32)] =
+    &[(HEAD, 1 << 26), (LIGHT, 1 << 24), (TRIANGLES, 1 << 30), (VERTICES, 1 << 30), (COSTS, 1 << 20)];
 /// Rows of coefficients at nine bands.
 const MAX_COEFFICIENTS: usize = 81;
 
@@ -88,6 +91,8 @@ pub struct Decision {
     pub choice: String,
     /// The evidence, with figures.
     pub evidence: String,
+    /// What the choice cost, in counts of work; empty in results of older programs.
+    pub cost: String,
     /// What the next level up would have brought.
     pub next_level: String,
 }
@@ -151,17 +156,22 @@ impl Estimate {
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
-        let mut chunks: [Option<Vec<u8>>; 4] = Default::default();
+        let mut chunks: [Option<Vec<u8>>; 5] = Default::default();
         let mut payload = Vec::new();
         while let Some(tag) = file.next(&mut payload)? {
             if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
                 chunks[slot] = Some(std::mem::take(&mut payload));
             }
         }
-        let [Some(head), Some(light), Some(triangles), Some(vertices)] = chunks else {
+        let [Some(head), Some(light), Some(triangles), Some(vertices), costs] = chunks else {
             return Err(invalid("a part is missing".into()));
         };
-        Self::from_chunks(&head, &light, &triangles, &vertices).map_err(invalid)
+        let mut estimate = Self::from_chunks(&head, &light, &triangles, &vertices).map_err(invalid)?;
+        if let Some(costs) = costs {
+            let (costs, _) = from_bytes::<Vec<String>>(&costs).map_err(invalid)?;
+            estimate.decisions.iter_mut().zip(costs).for_each(|(d, cost)| d.cost = cost);
+        }
+        Ok(estimate)
     }
 
     fn from_chunks(head: &[u8], light: &[u8], triangles: &[u8], vertices: &[u8]) -> std::result::Result<Self, String> {
@@ -216,6 +226,8 @@ impl Estimate {
         file.write(LIGHT, &[&to_bytes(&LightV1::from(&self.light)).map_err(refuse)?])?;
         file.write(TRIANGLES, &[&vertices::pack_triangles(&codes, self.mesh.triangles.len(), &order)])?;
         file.write(VERTICES, &[&vertices::pack(self, &order).map_err(refuse)?])?;
+        let costs: Vec<&String> = self.decisions.iter().map(|d| &d.cost).collect();
+        file.write(COSTS, &[&to_bytes(&costs).map_err(refuse)?])?;
         file.finish()
     }
 

@@ -143,6 +143,7 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
             name: "bands".into(),
             choice: "3".into(),
             evidence: "held-out error 0.01".into(),
+            cost: "9 unknowns a channel".into(),
             next_level: "0.0099".into(),
         }],
         cuts: vec!["bounces".into()],

@@ -318,7 +318,29 @@ twin!(StatsV1 of CaptureStats {
 });
 
 twin!(SegmentV1 of Segment { vertices: u32, albedo: [f64; 3], w_d: f64, w_s: f64, w_s_error: f64 });
-twin!(DecisionV1 of Decision { name: String, choice: String, evidence: String, next_level: String });
+/// Without its cost, which has a chunk of its own.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct DecisionV1 {
+    name: String,
+    choice: String,
+    evidence: String,
+    next_level: String,
+}
+
+impl From<&Decision> for DecisionV1 {
+    fn from(d: &Decision) -> Self {
+        let Decision { name, choice, evidence, next_level, .. } = d.clone();
+        Self { name, choice, evidence, next_level }
+    }
+}
+
+impl From<DecisionV1> for Decision {
+    fn from(d: DecisionV1) -> Self {
+        let DecisionV1 { name, choice, evidence, next_level } = d;
+        Self { name, choice, evidence, cost: String::new(), next_level }
+    }
+}
+
 twin!(WitnessErrorV1 of WitnessError { name: String, lit_psnr_db: f64, model_psnr_db: f64, coverage: f64 });
 twin!(LightV1 of Light {
     coefficients: Vec<[f64; 3]>,

@@ -76,7 +76,7 @@ fn a_published_scan_is_complete_and_says_what_is_in_it() {
         assert!(result[count].as_u64().unwrap() > 0, "{count}: {result}");
     }
     assert!(["diffuse", "shade", "gi"].contains(&result["transfer"].as_str().unwrap()));
-    for field in ["name", "choice", "evidence", "next_level"] {
+    for field in ["name", "choice", "evidence", "cost", "next_level"] {
         assert!(result["decisions"][0][field].is_string(), "{field}");
     }
     assert!(result["cuts"].is_array());

@@ -19,8 +19,8 @@ fn run(scan: &Scan) -> Estimate {
     let options = Options { budget: Duration::from_secs(600), rounds: Some(1) };
     let e = estimate(scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
     for d in &e.decisions {
-        println!("{}: {} · {} · next: {}", d.name, d.choice, d.evidence, d.next_level);
-        assert!(!d.choice.is_empty() && !d.evidence.is_empty(), "{d:?}");
+        println!("{}: {} · {} · cost: {} · next: {}", d.name, d.choice, d.evidence, d.cost, d.next_level);
+        assert!(!d.choice.is_empty() && !d.evidence.is_empty() && !d.cost.is_empty(), "{d:?}");
     }
     println!("{:?}", e.warnings);
     e

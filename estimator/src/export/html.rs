@@ -93,7 +93,7 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
             "share": f64::from(s.vertices) / total,
         })).collect::<Vec<_>>(),
         "decisions": result.decisions.iter().map(|d| json!({
-            "name": d.name, "choice": d.choice, "evidence": d.evidence, "next": d.next_level,
+            "name": d.name, "choice": d.choice, "evidence": d.evidence, "cost": d.cost, "next": d.next_level,
         })).collect::<Vec<_>>(),
         "warnings": result.warnings, "cuts": result.cuts, "timings": timings,
         "keyframes": result.keyframes.iter().zip(pictures.iter().map(Some).chain(std::iter::repeat(None))).map(|(k, p)| {

@@ -7,7 +7,7 @@ const say = (term, text) => {
   const t = document.createElement("dt"), d = document.createElement("dd");
   t.textContent = term; d.textContent = text; list.append(t, d);
 };
-facts.decisions.forEach((d) => say(d.name + ": " + d.choice, d.evidence + (d.next ? " Next level: " + d.next : "")));
+facts.decisions.forEach((d) => say(d.name + ": " + d.choice, d.evidence + (d.cost ? " Cost: " + d.cost + "." : "") + (d.next ? " Next level: " + d.next : "")));
 facts.warnings.forEach((w) => say("warning", w));
 facts.cuts.forEach((c) => say("cut for the budget", c));
 facts.timings.forEach(([stage, seconds]) => say(stage, Number(seconds).toFixed(1) + " s"));
