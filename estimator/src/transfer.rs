@@ -617,5 +617,8 @@ mod tests {
         let rest = off(arriving(bounce_and_rest(&traced, &albedo, 1)));
         assert!(one > 0.03, "later bounces matter here: {one}");
         assert!(rest < 0.3 * one, "{rest} instead of {one}");
+        let grey = bounce(&traced, &vec![Vec3::splat(0.4); albedo.len()], 0);
+        let (before, on) = (off(arriving(grey.clone())), off(arriving(bounce_on(&traced, &albedo, grey))));
+        assert!(before > 0.03 && on < 3e-3, "on from other albedos: {on}, which were {before} off");
     }
 }

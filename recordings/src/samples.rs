@@ -40,7 +40,9 @@ fn version_1_is_still_read() {
     assert_eq!(read("v1-packets.lrec"), packets(5));
     assert_eq!(Scan::read(&samples().join("v1.lscan")).unwrap(), scan());
     let result = Estimate::read(&samples().join("v1.lres")).unwrap();
-    let expected = estimate_on(bumpy_mesh(6));
+    let mut expected = estimate_on(bumpy_mesh(6));
+    // This file is from before decisions had costs.
+    expected.decisions.iter_mut().for_each(|d| d.cost.clear());
     assert_eq!(
         (&result.segment, &result.segments, &result.light),
         (&expected.segment, &expected.segments, &expected.light)

@@ -124,6 +124,30 @@ fn a_machine_that_is_halted_again_and_again_is_slow() {
 }
 
 #[test]
+fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
+    let (scan, config) = (corner(), EstimatorConfig::default());
+    let size = stages::size(&scan, &config);
+    let options = |milliseconds| Options { budget: Duration::from_millis(milliseconds), rounds: None };
+    let has_gloss =
+        |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).shape().specular;
+    // The most time that gloss is not planned for; then no round of pose refinement is asked for, which was planned.
+    let (mut cut, mut kept) = (1_000, 60_000);
+    while kept - cut > 100 {
+        let middle = (cut + kept) / 2;
+        *(if has_gloss(middle) { &mut kept } else { &mut cut }) = middle;
+    }
+    let machine = Simulated::new(0.2, &[]);
+    let options = options(cut);
+    let mut plan = Plan::new(&machine, &options, &config, size);
+    let is_cut = |plan: &Plan| plan.cuts().iter().any(|c| c.starts_with("specular"));
+    assert!(is_cut(&plan), "{:?}", plan.cuts());
+    plan.mesh_done(scan.mesh.positions.len());
+    plan.association_done();
+    plan.segmentation_done();
+    assert!(plan.shape().specular && !is_cut(&plan), "{cut} ms: {:?}", plan.cuts());
+}
+
+#[test]
 fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
