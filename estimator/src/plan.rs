@@ -294,12 +294,11 @@ impl<'a> Plan<'a> {
         tracing::debug!("planning for a machine {:.2} times as fast as the reference", self.probed);
     }
 
-    /// The lower of what the probe saw and what the stages since have shown.
+    /// What the probe and the stages since have shown.
     fn speed(&self) -> f64 {
         let spent = self.machine.now() - self.since;
         // Little work says little: the probe counts like a second of it.
-        let seen = (self.work + 1.0) / (spent + 1.0 / self.probed);
-        self.probed.min(seen).max(1e-12)
+        ((self.work + 1.0) / (spent + 1.0 / self.probed)).max(1e-12)
     }
 
     /// Reference seconds that may still be planned with.
