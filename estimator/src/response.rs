@@ -26,11 +26,12 @@ const CLEARLY: f64 = 2.0;
 pub fn verify(association: &Association, response: &Response) -> (Decision, Option<String>) {
     let shared = shared(association, response);
     let stated = text(response);
+    let points: usize = shared.values().map(Vec::len).sum();
     let decision = |choice: &str, evidence: String| Decision {
         name: "response".into(),
         choice: choice.into(),
         evidence,
-        cost: format!("{} values compared", shared.values().map(Vec::len).sum::<usize>()),
+        cost: format!("{points} values compared"),
         next_level: "a response that is measured with a grey card".into(),
     };
     if shared.is_empty() {
@@ -44,7 +45,6 @@ pub fn verify(association: &Association, response: &Response) -> (Decision, Opti
         (Response::Srgb, "srgb")
     };
     let (own, theirs) = (change(&shared, response), change(&shared, &other));
-    let points: usize = shared.values().map(Vec::len).sum();
     let evidence = format!(
         "{points} values seen at exposures 1.5 × apart or more: the factor between them changes by {:.1} % from dark to \
          bright with {stated}, by {:.1} % with {name}",
