@@ -2,43 +2,21 @@
 
 mod child;
 mod cli;
-mod clock;
 mod commands;
-mod control;
 mod daemon;
-mod decode;
-mod depth;
-mod device;
-mod disk;
+mod device_folder;
 mod failure;
 mod kinect;
-mod live;
-mod manifest;
 mod memory;
-mod motion;
-mod notify;
-#[cfg(feature = "openni")]
-mod openni;
-mod packet;
-mod pair;
 mod pipeline;
-mod protocol;
-mod publish;
 mod report;
-mod retention;
-mod sensor;
-mod sim;
-mod source;
-mod status;
+mod simulator;
+mod sources;
 mod stop;
-mod streaming;
-mod trajectory;
-mod transport;
-mod usb;
 
+use crate::failure::Failure;
+use crate::report::Reporter;
 use clap::Parser;
-use failure::Failure;
-use report::Reporter;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {

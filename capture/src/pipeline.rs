@@ -5,14 +5,17 @@
 //! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine. With
 //! a live sensor the oldest pair waiting for `decode` gives way, and is counted.
 
+use crate::daemon::status::{Board, State};
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
-use crate::source::{Pairs, RawPair};
-use crate::status::{Board, State};
+use crate::sources::{Pairs, RawPair};
 use crate::stop::Stop;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use firmware_config::Config;
-use fusion::{Fusion, FusionError, FusionOutput, Tracking};
+use fusion::Fusion;
+use fusion::FusionError;
+use fusion::FusionOutput;
+use fusion::Tracking;
 use glam::DVec3;
 use recordings::scan::{CaptureStats, FrameId, ScanTail, ScanWriter};
 use recordings::types::{ColorFrame, Pose, RgbdFrame, Sensor, TimestampNs};
@@ -335,13 +338,13 @@ fn join<T>(thread: Result<ScopedJoinHandle<'_, Result<T, Failure>>, Failure>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::control::Orders;
-    use crate::kinect::Kinect;
-    use crate::live::Live;
+    use crate::daemon::control::Orders;
+    use crate::kinect::driver::Kinect;
+    use crate::kinect::live::Live;
     use crate::memory::resident_bytes;
-    use crate::sensor;
-    use crate::sim::{SimBus, SimPlan};
-    use crate::streaming::{Conditions, Streaming};
+    use crate::simulator::{SimBus, SimPlan};
+    use crate::sources::sensor;
+    use crate::sources::streaming::{Conditions, Streaming};
     use firmware_config::DaemonConfig;
     use std::sync::Arc;
 

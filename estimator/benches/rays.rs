@@ -8,10 +8,10 @@
 #[expect(dead_code, reason = "how much memory rays take is no matter here")]
 mod usage;
 
-use estimator::random::CosineDirections;
-use estimator::scene::Scene;
+use estimator::numerics::random::CosineDirections;
+use estimator::rays::Scene;
 use glam::Vec3;
-use recordings::photos::import_photos;
+use recordings::import::photos::import_photos;
 use recordings::types::Mesh;
 use std::path::{Path, PathBuf};
 use usage::processor_s;

@@ -5,16 +5,16 @@
 
 mod usage;
 
-use estimator::reality::change::{Changed, change};
-use estimator::reality::compose::{Viewpoint, compose, model};
-use estimator::reality::hole::cut;
-use estimator::reality::infer::infer;
-use estimator::reality::object::{Material, Object, vertex_normals};
-use estimator::reality::panorama::{Panorama, Projector};
-use estimator::reality::relight::{BANDS, NewLight, Relight};
-use estimator::reality::remove::{Removal, select};
-use estimator::reality::seen::Backdrop;
-use estimator::scene::Scene;
+use estimator::rays::Scene;
+use estimator::render::change::{Changed, change};
+use estimator::render::compose::{Viewpoint, compose, model};
+use estimator::render::inpainting::geometry::cut;
+use estimator::render::lighting::completion::infer;
+use estimator::render::lighting::observed_background::Backdrop;
+use estimator::render::lighting::panorama::{Panorama, Projector};
+use estimator::render::objects::{Material, Object, vertex_normals};
+use estimator::render::relight::{BANDS, NewLight, Relight};
+use estimator::render::removal::{Removal, select};
 use firmware_config::RealityConfig;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, Light, Segment};

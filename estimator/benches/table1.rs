@@ -8,12 +8,18 @@
 
 mod usage;
 
-use estimator::factorise::{Colors, Settings, factorise};
-use estimator::scene::Scene;
-use estimator::{Options, Progress, association, remesh, segmentation, sh, transfer};
+use estimator::Options;
+use estimator::Progress;
+use estimator::association;
+use estimator::factorisation::{Colors, Settings, factorise};
+use estimator::mesh::regularise;
+use estimator::numerics::sh;
+use estimator::rays::Scene;
+use estimator::segmentation;
+use estimator::transfer;
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::{DVec2, Vec3};
-use recordings::photos::import_photos;
+use recordings::import::photos::import_photos;
 use recordings::scan::ScanSource;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -66,7 +72,7 @@ fn main() {
         // A target far below the mesh's own edges, so that the number of vertices decides.
         let config =
             EstimatorConfig { max_vertices: size as u32, regularise: 0.01, rays: RAYS, ..EstimatorConfig::default() };
-        let mesh = remesh::regularise(&scan.mesh, &config, ScanSource::Fusion);
+        let mesh = regularise::regularise(&scan.mesh, &config, ScanSource::Fusion);
         let scene = Scene::new(&mesh);
         let progress = Silent;
         let (fields, association) =

@@ -1,73 +1,32 @@
 //! From a scan to light and materials (§3.1 second half – §3.4).
 
-pub mod albedo;
+pub mod api;
 pub mod association;
-mod cost;
-pub mod distant;
+pub mod budget;
 pub mod export;
-pub mod exposure;
-pub mod factorise;
-mod graph;
-pub mod inverse;
-pub mod literal;
-mod material;
-mod picture;
-pub mod plan;
-pub mod pose;
+pub mod factorisation;
+pub mod mesh;
+pub mod model_selection;
+pub mod numerics;
 pub mod preview;
-pub mod random;
-mod raster;
-pub mod reality;
-pub mod refit;
-mod regions;
-pub mod remesh;
-mod response;
-mod robust;
-pub mod scene;
+pub mod rays;
+pub mod render;
 pub mod segmentation;
-pub mod select;
-pub mod sh;
 pub mod specular;
 pub mod stages;
-mod surface;
-mod template;
-pub mod thickness;
-pub mod trade;
+pub mod sweep;
 pub mod transfer;
-mod trust;
-pub mod witness;
+pub mod validation;
 
-use crate::factorise::factorise;
-use crate::plan::{Machine, Plan, WallClock};
+use crate::budget::{Machine, Plan, WallClock};
+use crate::factorisation::factorise;
 use crate::specular::Gloss;
 use firmware_config::{EstimatorConfig, Switch};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Arc;
-use std::time::Duration;
 
-/// Why there is no result.
-#[derive(Debug, thiserror::Error)]
-pub enum EstimateError {
-    /// The scan holds nothing that could be estimated from.
-    #[error("{0}")]
-    Unusable(String),
-}
-
-/// What a run may spend.
-#[derive(Debug, Clone)]
-pub struct Options {
-    /// Wall time from start to result.
-    pub budget: Duration,
-    /// Fixed number of ray rounds: replaces the clock, and the result is byte-identical.
-    pub rounds: Option<u32>,
-}
-
-/// Told about every stage as it goes.
-pub trait Progress: Sync {
-    /// `fraction` of stage `name` is done (0 at its start, 1 at its end).
-    fn stage(&self, name: &'static str, fraction: f64);
-}
+pub use api::{EstimateError, Options, Progress};
 
 /// Estimates light and materials on this machine.
 ///
@@ -93,7 +52,7 @@ pub fn estimate_on(
     options: &Options,
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
-    let config = &plan::at_quality(config);
+    let config = &budget::at_quality(config);
     let mut plan = Plan::new(machine, options, config, stages::size(scan, config));
 
     // §3.1: a regular mesh, and the keyframes' colours on it (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
@@ -113,7 +72,7 @@ pub fn estimate_on(
         progress.stage("specular", 0.0);
         let decisions;
         (found, gloss, decisions) =
-            refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
+            specular::refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
         ready.decisions.extend(decisions);
         plan.specular_done(settings.bands);
         if gloss.iter().any(|g| g.significant) {
@@ -122,7 +81,7 @@ pub fn estimate_on(
     }
 
     // The assumption that it all rests on, and frames that no step used.
-    let (decision, near) = distant::check(&ready.mesh, &ready.fields, &ready.segment, &found);
+    let (decision, near) = factorisation::distance_check::check(&ready.mesh, &ready.fields, &ready.segment, &found);
     ready.decisions.push(decision);
     let mut warnings = std::mem::take(&mut ready.warnings);
     warnings.extend(near);
@@ -150,7 +109,7 @@ pub fn estimate_on(
         decisions: ready.decisions,
         cuts: plan.cuts(),
         warnings,
-        albedo_scale_rule: factorise::SCALE_RULE.into(),
+        albedo_scale_rule: factorisation::SCALE_RULE.into(),
         witnesses,
     })
 }

@@ -1,15 +1,24 @@
 //! The stages of an estimate, each on its own: `estimate()` runs them once, the trade runs some of them many times.
 
+use crate::api::EstimateError;
+use crate::api::Options;
+use crate::api::Progress;
+use crate::association::response;
 use crate::association::{self, Association, Effort, Setting};
-use crate::cost::Size;
-use crate::factorise::{Colors, Factorised, Settings, Start, factorise, narrowed};
-use crate::graph::Graph;
-use crate::plan::Plan;
-use crate::scene::Scene;
-use crate::select;
+use crate::budget::Plan;
+use crate::budget::cost_model::Size;
+use crate::factorisation::robust_solver;
+use crate::factorisation::{Colors, Factorised, Settings, Start, factorise, narrowed};
+use crate::mesh::graph::Graph;
+use crate::mesh::regularise;
+use crate::model_selection;
+use crate::numerics::sh;
+use crate::rays::Scene;
+use crate::segmentation;
 use crate::specular::Gloss;
+use crate::specular::refit;
 use crate::transfer::{self, Traced};
-use crate::{EstimateError, Options, Progress, inverse, refit, remesh, response, segmentation, sh, witness};
+use crate::validation;
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::Vec3;
 use recordings::result::{Decision, Light, ResultKeyframe, Segment, WitnessError};
@@ -76,9 +85,9 @@ pub fn prepare(
 ) -> Result<Ready, EstimateError> {
     progress.stage("mesh", 0.0);
     let mesh = if plan.shape().vertices < size(scan, config).vertices as usize {
-        remesh::coarsened(&scan.mesh, plan.shape().vertices)
+        regularise::coarsened(&scan.mesh, plan.shape().vertices)
     } else {
-        remesh::regularise(&scan.mesh, config, scan.source)
+        regularise::regularise(&scan.mesh, config, scan.source)
     };
     let scene = Scene::new(&mesh);
     if mesh.positions.is_empty() || mesh.triangles.is_empty() {
@@ -116,13 +125,13 @@ pub fn transfer(
     progress: &dyn Progress,
 ) -> Arc<Traced> {
     let bands = plan.shape().bands;
-    let pilot = select::pilot(&ready.mesh, &ready.scene, config.seed);
-    if select::is_open(config, pilot.blocked) {
+    let pilot = model_selection::pilot(&ready.mesh, &ready.scene, config.seed);
+    if model_selection::is_open(config, pilot.blocked) {
         return Arc::new(transfer::unoccluded(&ready.mesh, bands));
     }
     let most = plan.shape().rays;
     let explicit = config.rays > 0 || options.rounds.is_some();
-    let rays = if explicit { most } else { most.min(select::PILOT_RAYS) };
+    let rays = if explicit { most } else { most.min(model_selection::PILOT_RAYS) };
     trace(ready, config, rays, None, plan, progress)
         .unwrap_or_else(|| Arc::new(transfer::unoccluded(&ready.mesh, plan.shape().bands)))
 }
@@ -175,19 +184,19 @@ pub fn settle(
 ) -> Settled {
     progress.stage("factorisation", 0.0);
     let (bounces, most) = plan.light(traced.mean_blocked());
-    let gi = select::interreflects(config, &traced);
+    let gi = model_selection::interreflects(config, &traced);
     let settings = Settings { gi, bands: most, most_bands: most, bounces, solver: config.solver };
     if config.solver != SolverChoice::Robust {
         return Settled { traced, settings, start: None };
     }
     let least = if config.bands > 0 { most } else { 1 };
-    let selected = select::bands(&traced, &ready.colors(), gi, bounces, least..=most);
+    let selected = model_selection::bands(&traced, &ready.colors(), gi, bounces, least..=most);
     ready.decisions.push(selected.decision);
     let mut settled =
         Settled { traced, settings: Settings { bands: selected.bands, ..settings }, start: Some(selected.start) };
     let (have, blocked) = (settled.traced.rays, settled.traced.mean_blocked());
     if config.rays == 0 && options.rounds.is_none() && have > 0 {
-        let wanted = select::rays(&settled.traced, selected.held_out);
+        let wanted = model_selection::rays(&settled.traced, selected.held_out);
         let rays = plan.more_rays(wanted, have, blocked, selected.bands);
         settled.settings.bounces = plan.shape().bounces;
         if rays > have
@@ -213,9 +222,9 @@ pub fn refine(
     if config.rays > 0 || options.rounds.is_some() || config.solver != SolverChoice::Robust || traced.rays == 0 {
         return found;
     }
-    let held_out = select::held_out(&found, &ready.colors());
+    let held_out = model_selection::held_out(&found, &ready.colors());
     let bands = found.solution.light.len().isqrt();
-    let rays = plan.more_rays(select::rays(&traced, held_out), traced.rays, traced.mean_blocked(), bands);
+    let rays = plan.more_rays(model_selection::rays(&traced, held_out), traced.rays, traced.mean_blocked(), bands);
     if rays <= traced.rays {
         return found;
     }
@@ -249,7 +258,7 @@ pub fn witnesses(
     plan: &mut Plan,
 ) -> Vec<WitnessError> {
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
-    let model = witness::Model {
+    let model = validation::Model {
         reflection: refit::reflection(&ready.mesh, &ready.scene, found),
         lit_color: lit_with_gloss,
         lit_weight: &ready.fields.lit_weight,
@@ -265,9 +274,9 @@ pub fn witnesses(
             plan.leave_out(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
             break;
         }
-        compared.extend(witness::compare(&model, &setting, frame, config));
+        compared.extend(validation::compare(&model, &setting, frame, config));
     }
-    ready.decisions.extend(witness::decision(&compared, config));
+    ready.decisions.extend(validation::decision(&compared, config));
     compared.into_iter().map(|c| c.error).collect()
 }
 
@@ -299,7 +308,7 @@ pub fn light(ready: &Ready, found: &Factorised, gloss: &[Gloss]) -> Light {
     Light {
         coefficients: solution.light.clone(),
         standard_deviation: solution.standard_deviation.clone(),
-        directions: inverse::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
+        directions: robust_solver::directions().iter().map(|d| d.as_vec3().to_array()).collect(),
         radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
     }
 }
@@ -385,7 +394,7 @@ pub fn transfer_decision(found: &Factorised) -> Decision {
         next_level: match level {
             "diffuse" => "visibility: less than the colours err".into(),
             "shade" => {
-                let share = select::grey_bounce(traced);
+                let share = model_selection::grey_bounce(traced);
                 format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * share)
             }
             _ => format!(

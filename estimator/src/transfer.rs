@@ -1,10 +1,10 @@
 //! Radiance transfer (Eq. 8): how much of each coefficient of the light arrives at each vertex, 1/π inside, the vertex's
 //! own albedo outside.
 
-use crate::random::{CosineDirections, hash, unit};
-use crate::scene::Scene;
-use crate::sh;
-use crate::trust::trust;
+use crate::mesh::vertex_weight::trust;
+use crate::numerics::random::{CosineDirections, hash, unit};
+use crate::numerics::sh;
+use crate::rays::Scene;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Mesh;

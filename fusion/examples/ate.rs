@@ -12,10 +12,12 @@
 mod usage;
 
 use firmware_config::Config;
-use fusion::{Fusion, FusionOutput, Tracking};
+use fusion::Fusion;
+use fusion::FusionOutput;
+use fusion::Tracking;
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use recordings::import::tum::TumReader;
 use recordings::recording::Event;
-use recordings::tum::TumReader;
 use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor};
 use std::collections::HashMap;
 use std::error::Error;

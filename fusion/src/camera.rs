@@ -1,7 +1,7 @@
 //! The sensor's geometry as tracking and integration use it: undistorted pinholes and look-up maps.
 
 use crate::FusionError;
-use crate::integrate::MOST_PIXELS;
+use crate::tsdf::integrate::MOST_PIXELS;
 use firmware_config::FusionConfig;
 use glam::{DVec3, Mat3, Vec2, Vec3};
 use recordings::types::{CameraModel, Distortion, Pose, Sensor};

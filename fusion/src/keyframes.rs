@@ -1,8 +1,8 @@
 //! Keyframes, Eq. (1): candidates while scanning, the smallest covering set at the end.
 
 use crate::camera::{Pinhole, Rig};
-use crate::pyramid::Frame;
-use crate::visible::View;
+use crate::tracking::pyramid::Frame;
+use crate::tsdf::visible::View;
 use firmware_config::FusionConfig;
 use rayon::prelude::*;
 use recordings::scan::{FrameId, KeptFrame};

@@ -2,33 +2,25 @@
 
 mod camera;
 mod effort;
-mod extract;
-mod integrate;
 mod isa;
 mod keyframes;
-mod pyramid;
-mod relocalise;
-mod rotate;
-mod shutter;
-mod timing;
-mod track;
-mod visible;
-mod volume;
+mod tracking;
+mod tsdf;
 
-use camera::Rig;
+use crate::camera::Rig;
+use crate::keyframes::Candidates;
+use crate::tracking::pyramid::Frame;
+use crate::tracking::relocalise::Anchors;
+use crate::tracking::rolling_shutter::Motion;
+use crate::tracking::timing::Timing;
+use crate::tracking::{Alignment, Reference, Scene, Tracker, rotate};
+use crate::tsdf::integrate::Integrator;
+use crate::tsdf::{Volume, extract, visible};
 use firmware_config::FusionConfig;
 use glam::{DQuat, DVec3};
-use integrate::Integrator;
-use keyframes::Candidates;
 use nalgebra::Vector6;
-use pyramid::Frame;
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose, RgbdFrame, Sensor, TimestampNs};
-use relocalise::Anchors;
-use shutter::Motion;
-use timing::Timing;
-use track::{Alignment, Reference, Scene, Tracker};
-use volume::Volume;
 
 /// Why fusion could not go on.
 #[derive(Debug, thiserror::Error)]
@@ -307,7 +299,7 @@ impl Fusion {
         let ((t0, first), (t1, last)) = (recent.first()?, recent.last()?);
         let span = seconds(*t0, *t1);
         let known = span > 0.0 && span <= VELOCITY_FRAMES as f64 * MAX_PREDICTION_S;
-        known.then(|| track::log(&first.inverse().compose(last)) / span)
+        known.then(|| tracking::log(&first.inverse().compose(last)) / span)
     }
 
     /// From the depth image's instant to the colour image's, seconds; 0 if they are too far apart.
@@ -329,7 +321,7 @@ impl Fusion {
     fn track(&mut self, stamp: TimestampNs) -> Option<Pose> {
         let last = self.reference.world_from_camera;
         let dt = seconds(self.last_stamp, stamp);
-        let predicted = last.compose(&track::exp(&(self.velocity * dt)));
+        let predicted = last.compose(&tracking::exp(&(self.velocity * dt)));
         let effort = effort::choose(&self.config, self.last_blocks, self.frame.valid);
         let mut tracker = std::mem::take(&mut self.tracker);
 
@@ -345,7 +337,7 @@ impl Fusion {
             .min_by(|a, b| a.misfit().total_cmp(&b.misfit()));
         // How fast it went is known better now than from the frames before.
         if let Some(coarse) = &coarse {
-            let velocity = track::log(&last.inverse().compose(&coarse.world_from_camera)) / dt.max(1e-3);
+            let velocity = tracking::log(&last.inverse().compose(&coarse.world_from_camera)) / dt.max(1e-3);
             self.frame.synchronise(&Motion { velocity, ..self.frame.motion }, &self.rig);
         }
         let fine = coarse.and_then(|coarse| {
@@ -355,7 +347,7 @@ impl Fusion {
         self.tracker = tracker;
         let (coarse, fine) = fine?;
         let pose = fine.world_from_camera;
-        let moved = track::log(&last.inverse().compose(&pose));
+        let moved = tracking::log(&last.inverse().compose(&pose));
         let dt = dt.max(1.0 / 60.0);
         let (way, turn) = (moved.fixed_rows::<3>(0).norm(), moved.fixed_rows::<3>(3).norm());
         let possible = way <= (self.config.max_speed_m_s * dt).min(self.config.max_step_m)
@@ -380,7 +372,7 @@ impl Fusion {
     fn looks_alike(&self, pose: &Pose) -> bool {
         let anchor = self.anchors.get(self.anchor).map(|a| &a.reference);
         let references = anchor.into_iter().chain([&self.reference]);
-        let likeness: Vec<f32> = references.filter_map(|r| track::likeness(&self.scene(r), pose)).collect();
+        let likeness: Vec<f32> = references.filter_map(|r| tracking::likeness(&self.scene(r), pose)).collect();
         tracing::trace!(?likeness, "looks");
         likeness.is_empty() || likeness.iter().any(|l| *l >= DOUBTFUL * self.config.min_likeness as f32)
     }
@@ -400,7 +392,7 @@ impl Fusion {
         let last = self.reference.world_from_camera;
         let dt = seconds(self.last_stamp, stamp);
         // In small steps: who goes around something does not go straight on.
-        let step = track::exp(&(self.velocity * (dt / COASTING_STEPS as f64)));
+        let step = tracking::exp(&(self.velocity * (dt / COASTING_STEPS as f64)));
         let carried_on = (dt <= MAX_COASTING_S).then(|| (0..COASTING_STEPS).fold(last, |pose, _| pose.compose(&step)));
         let mut best: Option<Found> = None;
         for (n, i) in tries.into_iter().enumerate() {
@@ -446,7 +438,7 @@ impl Fusion {
             .min_by(|a, b| a.misfit().total_cmp(&b.misfit()))?;
         let start = coarse.world_from_camera;
         let fine = tracker.align(&scene, &start, &start, effort::best().fine);
-        let likeness = track::likeness(&scene, &fine.world_from_camera).unwrap_or(0.0);
+        let likeness = tracking::likeness(&scene, &fine.world_from_camera).unwrap_or(0.0);
         tracing::trace!(i, ?coarse, ?fine, likeness, "relocalisation");
         Some(Found { alignment: fine, likeness, anchor: i })
     }
@@ -474,7 +466,7 @@ impl Fusion {
         let dt = seconds(self.last_stamp, stamp);
         self.velocity = match self.state {
             Some(Tracking::Tracked) if dt > 1e-3 => {
-                track::log(&self.reference.world_from_camera.inverse().compose(pose)) / dt
+                tracking::log(&self.reference.world_from_camera.inverse().compose(pose)) / dt
             }
             _ => Vector6::zeros(),
         };

@@ -5,7 +5,9 @@
 mod world;
 
 use firmware_config::FusionConfig;
-use fusion::{Fusion, FusionError, Tracking};
+use fusion::Fusion;
+use fusion::FusionError;
+use fusion::Tracking;
 use glam::{DQuat, DVec3};
 use recordings::types::{Pose, RgbdFrame, Sensor};
 use world::{Shape, World, desk, error, look_at, moved};

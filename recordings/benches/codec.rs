@@ -1,8 +1,8 @@
 //! Size and speed of recordings, on a TUM RGB-D folder (`cargo bench -p recordings --bench codec -- FOLDER`) or, without
 //! one, on a made-up depth image.
 
+use recordings::import::tum::TumReader;
 use recordings::recording::{Event, RecordingKind, RecordingReader, RecordingWriter};
-use recordings::tum::TumReader;
 use recordings::types::{CameraModel, DepthFrame, Distortion, Intrinsics, Pose, Response, Sensor};
 use std::path::Path;
 use std::sync::LazyLock;

@@ -1,7 +1,7 @@
 //! RGB-D recordings (`.lrec`): a sensor header, then time-stamped events in the order they came.
 
-use crate::chunk::{ChunkReader, ChunkWriter, Tag};
-use crate::depth_codec::{self, DepthDecoder};
+use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
+use crate::codec::depth::{self, DepthDecoder};
 use crate::error::{Error, Result};
 use crate::types::{Accelerometer, ColorFrame, DepthFrame, Sensor, TimestampNs, UsbPacket};
 use crate::v1::{AccelerometerV1, ColorV1, DepthV1, RecordingKindV1, RecordingV1, from_bytes, to_bytes};
@@ -204,7 +204,7 @@ impl RecordingWriter {
                 let head = DepthV1 { timestamp_ns: d.timestamp_ns, missing_packets: d.missing_packets };
                 let head = to_bytes(&head).map_err(refuse)?;
                 self.coded.clear();
-                depth_codec::encode(&d.depth, w as usize, &mut self.coded);
+                depth::encode(&d.depth, w as usize, &mut self.coded);
                 self.file.write(DEPTH, &[&head, &self.coded])
             }
             Event::Color(c) => {

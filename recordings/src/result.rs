@@ -1,12 +1,12 @@
 //! Results (`.lres`): what the estimator found.
 
-use crate::chunk::{ChunkReader, ChunkWriter, Tag};
-use crate::connectivity::{self, Traversal};
+use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
+use crate::codec::connectivity::{self, Traversal};
+use crate::codec::vertices;
 use crate::error::{Error, Result};
 use crate::scan::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
 use crate::v1::{EstimateV1, LightV1, from_bytes, to_bytes};
-use crate::vertices;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::Path;

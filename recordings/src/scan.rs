@@ -1,8 +1,8 @@
 //! Scans (`.lscan`): what fusion hands to the estimator.
 
-use crate::chunk::{ChunkReader, ChunkWriter, Tag, beside};
+use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag, beside};
 use crate::error::{Error, Result};
-use crate::lists::format_seconds;
+use crate::import::lists::format_seconds;
 use crate::types::{ColorFrame, Keyframe, Mesh, Pose, RawVec3, Sensor};
 use crate::v1::{ColorV1, KeyframeV1, ScanSourceV1, ScanV1, StatsV1, from_bytes, to_bytes};
 use glam::Vec3;

@@ -1,8 +1,8 @@
 //! Frames from a TUM RGB-D folder or a recording, in any order: a replay in a loop runs forwards and backwards in turn.
 
 use crate::error::{Error, Result};
+use crate::import::tum::TumReader;
 use crate::recording::{Event, RecordingKind, RecordingReader};
-use crate::tum::TumReader;
 use crate::types::Sensor;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! What the unit tests share.
 
-use crate::decode::encode_depth_png;
+use crate::codec::image::encode_depth_png;
 use crate::recording::Event;
 use crate::result::{Decision, Estimate, Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::{CaptureStats, Scan, ScanSource};

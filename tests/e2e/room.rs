@@ -6,8 +6,8 @@ mod common;
 
 use common::{arg, ok, shared};
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
-use recordings::synth::{kinect::Kinect, render::Shading, scenes};
 use std::path::Path;
+use tests::synth::{kinect::Kinect, render::Shading, scenes};
 
 /// Peak resident memory of the capture process at most.
 const MOST_MIB: f64 = 384.0;

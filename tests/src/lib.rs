@@ -6,6 +6,7 @@
 pub mod metrics;
 pub mod npy;
 pub mod scans;
+pub mod synth;
 pub mod truth;
 
 use std::path::PathBuf;

@@ -1,8 +1,10 @@
 //! Association, segmentation and regularisation where there is nothing to go by: the output is valid all the same.
 
+use estimator::Progress;
 use estimator::association::{Association, associate};
-use estimator::scene::Scene;
-use estimator::{Progress, remesh, segmentation};
+use estimator::mesh::regularise;
+use estimator::rays::Scene;
+use estimator::segmentation;
 use firmware_config::EstimatorConfig;
 use glam::{DQuat, DVec3, Vec3};
 use recordings::scan::ScanSource;
@@ -143,7 +145,7 @@ fn single_vertices_and_bad_triangles() {
     bad.triangles.extend([[0, 0, 1], [0, 1, 6], [0, 1, 7], [25, 26, 1], [900, 1, 2], [27, 12, 13]]);
     for mesh in [empty, lone, bad] {
         for source in [ScanSource::Photos, ScanSource::Fusion] {
-            let mesh = remesh::regularise(&mesh, &config, source);
+            let mesh = regularise::regularise(&mesh, &config, source);
             assert_eq!(mesh.positions.len(), mesh.normals.len());
             assert!(mesh.positions.iter().chain(&mesh.normals).all(|v| v.is_finite()));
             assert!(mesh.triangles.iter().flatten().all(|i| (*i as usize) < mesh.positions.len()));

@@ -3,12 +3,16 @@
 // Test code: whatever is wrong with a fixture is to end the test.
 #![allow(clippy::expect_used)]
 
+use estimator::Options;
+use estimator::Progress;
 use estimator::association::{Association, associate};
-use estimator::scene::Scene;
-use estimator::{Options, Progress, estimate, remesh, segmentation};
+use estimator::estimate;
+use estimator::mesh::regularise;
+use estimator::rays::Scene;
+use estimator::segmentation;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::Vec3;
-use recordings::photos::import_photos;
+use recordings::import::photos::import_photos;
 use recordings::scan::Scan;
 use recordings::types::Pose;
 use std::path::Path;
@@ -32,7 +36,7 @@ fn run(shared: &Path, name: &str) -> Outcome {
     let truth = Truth::read(shared, name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
     let config = EstimatorConfig::default();
-    let mesh = remesh::regularise(&scan.mesh, &config, scan.source);
+    let mesh = regularise::regularise(&scan.mesh, &config, scan.source);
     assert_eq!(mesh.positions, truth.mesh.positions, "an imported mesh keeps its vertices");
     let scene = Scene::new(&mesh);
     let association = associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &Silent);

@@ -2,8 +2,11 @@
 
 #![allow(clippy::expect_used, reason = "these are tests")]
 
-use estimator::plan::{Machine, Plan};
-use estimator::{Options, Progress, estimate_on, stages};
+use estimator::Options;
+use estimator::Progress;
+use estimator::budget::{Machine, Plan};
+use estimator::estimate_on;
+use estimator::stages;
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
 use recordings::result::{ABANDONED, Estimate};

@@ -4,9 +4,10 @@
 // Test code: whatever is wrong with a fixture is to end the test.
 #![allow(clippy::expect_used)]
 
-use estimator::{Options, Progress};
+use estimator::Options;
+use estimator::Progress;
 use firmware_config::EstimatorConfig;
-use recordings::photos::import_photos;
+use recordings::import::photos::import_photos;
 use std::time::Duration;
 use tests::metrics;
 use tests::truth::Truth;

@@ -3,11 +3,13 @@
 #![allow(clippy::unwrap_used, reason = "these are tests")]
 
 use firmware_config::FusionConfig;
-use fusion::{Fusion, FusionOutput, Tracking};
+use fusion::Fusion;
+use fusion::FusionOutput;
+use fusion::Tracking;
 use glam::{DVec3, Vec3};
 use nalgebra::{Matrix3, Vector3};
+use recordings::import::tum::TumReader;
 use recordings::recording::Event;
-use recordings::tum::TumReader;
 use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor, TimestampNs};
 use std::collections::HashMap;
 use std::path::Path;

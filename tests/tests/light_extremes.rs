@@ -1,8 +1,10 @@
 //! The estimator at the extremes: each ends in an honest answer or in a refusal, never in NaN.
 
-use estimator::scene::Scene;
+use estimator::EstimateError;
+use estimator::Options;
+use estimator::Progress;
+use estimator::rays::Scene;
 use estimator::transfer::{self, Transfer};
-use estimator::{EstimateError, Options, Progress};
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
 use recordings::result::Estimate;

@@ -3,11 +3,11 @@
 
 #![allow(clippy::expect_used, reason = "these are tests")]
 
-use estimator::inverse::{self, Observed, Solution};
-use estimator::literal::least_squares;
-use estimator::random::{CosineDirections, hash, unit};
-use estimator::scene::Scene;
-use estimator::sh;
+use estimator::factorisation::paper_solver::least_squares;
+use estimator::factorisation::robust_solver::{self, Observed, Solution};
+use estimator::numerics::random::{CosineDirections, hash, unit};
+use estimator::numerics::sh;
+use estimator::rays::Scene;
 use estimator::transfer::{self, Transfer};
 use glam::{DQuat, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -50,7 +50,7 @@ impl Lit {
             segment: &self.segment,
             segments: self.segments,
         };
-        inverse::solve(&observed, bands, None)
+        robust_solver::solve(&observed, bands, None)
     }
 
     /// Median relative error of what the solution predicts for the lit colours.
@@ -69,7 +69,7 @@ impl Lit {
 
 /// Coefficients of radiance given over the solver's own directions.
 fn projected(bands: usize, radiance: impl Fn(usize, DVec3) -> f64) -> Vec<[f64; 3]> {
-    let directions = inverse::directions();
+    let directions = robust_solver::directions();
     let mut light = vec![[0.0; 3]; bands * bands];
     let mut y = vec![0.0; bands * bands];
     for (d, direction) in directions.iter().enumerate() {
@@ -91,7 +91,7 @@ fn light_of_a_million_to_one() {
     assert!(error < 0.03, "lit colours are off by {error}");
     let brightest =
         (0..solution.radiance.len()).max_by(|a, b| solution.radiance[*a][1].total_cmp(&solution.radiance[*b][1]));
-    let directions = inverse::directions();
+    let directions = robust_solver::directions();
     let off = directions[brightest.expect("directions")].angle_between(directions[40]).to_degrees();
     assert!(off < 15.0, "the light is {off}° off");
 }

@@ -2,7 +2,9 @@
 
 #![allow(clippy::expect_used, reason = "these are tests")]
 
-use estimator::{Options, Progress, estimate};
+use estimator::Options;
+use estimator::Progress;
+use estimator::estimate;
 use firmware_config::EstimatorConfig;
 use glam::{DVec3, Vec3};
 use recordings::result::Estimate;

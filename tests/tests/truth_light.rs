@@ -1,8 +1,8 @@
 //! Transfer and factorisation against scenes whose light and albedo are known.
 
-use estimator::factorise::{Colors, Factorised, Settings, factorise};
-use estimator::random::{hash, unit};
-use estimator::scene::Scene;
+use estimator::factorisation::{Colors, Factorised, Settings, factorise};
+use estimator::numerics::random::{hash, unit};
+use estimator::rays::Scene;
 use estimator::transfer::{self, Traced, Transfer};
 use firmware_config::SolverChoice;
 use glam::Vec3;

@@ -1,15 +1,17 @@
 //! `lumiscan capture`: the daemon.
 
-use super::{load, use_threads};
 use crate::cli;
-use crate::control::{Orders, Server};
+use crate::commands::load;
+use crate::commands::use_threads;
 use crate::daemon::Daemon;
+use crate::daemon::control::{Orders, Server};
+use crate::daemon::notify::Notifier;
+use crate::daemon::status::{self, Board};
 use crate::failure::Failure;
-use crate::notify::Notifier;
+use crate::memory;
 use crate::report::Reporter;
-use crate::status::{self, Board};
+use crate::sources::sensor;
 use crate::stop::Stop;
-use crate::{memory, sensor};
 use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,13 +1,15 @@
 //! `lumiscan check`: whether this machine can do the work, and what to do where it cannot.
 
-use super::{load, print, print_json};
 use crate::cli;
-use crate::disk;
+use crate::commands::load;
+use crate::commands::print;
+use crate::commands::print_json;
+use crate::device_folder::disk;
 use crate::failure::Failure;
+use crate::kinect::transport::{Found, UsbError};
 use crate::memory;
-use crate::sensor;
-use crate::transport::{Found, UsbError};
-use estimator::scene::Scene;
+use crate::sources::sensor;
+use estimator::rays::Scene;
 use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
 use firmware_config::{Config, memory_plan};
 use glam::Vec3;

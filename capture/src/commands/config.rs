@@ -1,7 +1,9 @@
 //! `lumiscan config`: every setting, as a settings file.
 
-use super::{load, print, print_json};
 use crate::cli;
+use crate::commands::load;
+use crate::commands::print;
+use crate::commands::print_json;
 use crate::failure::Failure;
 use serde_json::{Value, json};
 

@@ -1,13 +1,18 @@
 //! `lumiscan estimate`: a scan to a result.
 
-use super::{check_parent, print, print_json, use_threads};
 use crate::child::Summary;
 use crate::cli;
-use crate::device;
+use crate::commands::check_parent;
+use crate::commands::print;
+use crate::commands::print_json;
+use crate::commands::use_threads;
+use crate::device_folder;
 use crate::failure::Failure;
 use crate::memory;
 use crate::report::Reporter;
-use estimator::{EstimateError, Options, Progress};
+use estimator::EstimateError;
+use estimator::Options;
+use estimator::Progress;
 use firmware_config::Config;
 use recordings::result::ABANDONED;
 use recordings::scan::Scan;
@@ -43,7 +48,7 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     if let Some(path) = &args.preview {
         reporter.stage("preview", 0.0);
         let png = estimator::preview::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
-        device::write_file(path, &png)?;
+        device_folder::write_file(path, &png)?;
     }
     if let Some(path) = &args.viewer {
         reporter.stage("viewer", 0.0);

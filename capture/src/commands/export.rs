@@ -1,12 +1,13 @@
 //! `lumiscan export`: results and recordings in forms that other programs read.
 
-use super::{check_parent, print};
 use crate::cli::{self, ExportTo};
+use crate::commands::check_parent;
+use crate::commands::print;
 use crate::failure::Failure;
+use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
-use recordings::tum::export_tum;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -39,13 +40,14 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         ExportTo::Html => {
             check_parent(output)?;
             let result = Estimate::read(&args.file)?;
-            let scan =
-                super::render::find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
+            let scan = crate::commands::render::find_scan(args.scan.as_deref(), &args.file)
+                .map(|p| Scan::read(&p))
+                .transpose()?;
             estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
         ExportTo::Colmap | ExportTo::Nerf => {
             let result = Estimate::read(&args.file)?;
-            let path = super::render::find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
+            let path = crate::commands::render::find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
                 Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
             })?;
             let scan = Scan::read(&path)?;

@@ -1,14 +1,14 @@
 //! What `lumiscan render` reads its lights from and writes its frames to.
 
-use super::check_parent;
-use super::export::{StagingFolder, check_fresh};
-use super::render::has_extension;
+use crate::commands::check_parent;
+use crate::commands::export::{StagingFolder, check_fresh};
+use crate::commands::render::has_extension;
 use crate::failure::Failure;
 use estimator::export::picture::{write_exr, write_png};
-use estimator::reality::compose::Picture;
-use estimator::reality::environment::Environment;
-use estimator::reality::panorama::{Panorama, Projector, turned};
-use estimator::reality::relight::{BANDS, NewLight};
+use estimator::render::compose::Picture;
+use estimator::render::lighting::environment::Environment;
+use estimator::render::lighting::panorama::{Panorama, Projector, turned};
+use estimator::render::relight::{BANDS, NewLight};
 use glam::Vec3;
 use recordings::result::{Estimate, Light};
 use recordings::types::{Response, RgbImage};

@@ -1,11 +1,12 @@
 //! `lumiscan import`: foreign data to a recording or a scan.
 
-use super::{check_parent, print};
 use crate::cli::{self, ImportFrom};
+use crate::commands::check_parent;
+use crate::commands::print;
 use crate::failure::Failure;
 use firmware_config::Config;
-use recordings::photos::import_photos;
-use recordings::tum::import_tum;
+use recordings::import::photos::import_photos;
+use recordings::import::tum::import_tum;
 
 /// Runs the command.
 pub fn run(args: &cli::Import) -> Result<(), Failure> {

@@ -1,9 +1,10 @@
 //! `lumiscan inspect`: what a file holds.
 
-use super::{print, print_json};
 use crate::cli;
+use crate::commands::print;
+use crate::commands::print_json;
 use crate::failure::Failure;
-use recordings::chunk::kind_of;
+use recordings::codec::chunk::kind_of;
 use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};
 use recordings::result::Estimate;
 use recordings::scan::{Scan, ScanSource};

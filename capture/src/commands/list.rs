@@ -1,10 +1,11 @@
 //! `lumiscan list`: the sensors that are plugged in.
 
-use super::{print, print_json};
 use crate::cli;
+use crate::commands::print;
+use crate::commands::print_json;
 use crate::failure::Failure;
-use crate::sensor;
-use crate::transport::UsbError;
+use crate::kinect::transport::UsbError;
+use crate::sources::sensor;
 use serde_json::json;
 
 /// Runs the command.

@@ -1,21 +1,21 @@
 //! One file a command.
 
-mod capture;
-mod check;
-mod config;
-mod estimate;
-mod export;
-mod frames;
-mod import;
-mod inspect;
-mod list;
+pub mod capture;
+pub mod check;
+pub mod config;
+pub mod estimate;
+pub mod export;
+pub mod frames;
+pub mod import;
+pub mod inspect;
+pub mod list;
 #[cfg(feature = "openni")]
-mod openni;
-mod record;
+pub mod openni;
+pub mod record;
 pub mod render;
-mod replay;
-mod scan;
-mod trade;
+pub mod replay;
+pub mod scan;
+pub mod trade;
 
 use crate::cli::{Cli, Command, Settings};
 use crate::failure::Failure;

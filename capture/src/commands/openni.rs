@@ -1,11 +1,13 @@
 //! `lumiscan record FILE --openni ADDRESS`: what a sensor of PrimeSense's kind sends, or an `.oni` file holds.
 
-use super::{load, print, print_json};
 use crate::cli;
-use crate::disk;
+use crate::commands::load;
+use crate::commands::print;
+use crate::commands::print_json;
+use crate::device_folder::disk;
 use crate::failure::Failure;
-use crate::openni::Device;
 use crate::report::{Reporter, Step};
+use crate::sources::openni::Device;
 use crate::stop::Stop;
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
 use serde_json::json;

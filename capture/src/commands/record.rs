@@ -1,13 +1,16 @@
 //! `lumiscan record`: what a Kinect sends, to a file.
 
-use super::{check_parent, load, print, print_json};
 use crate::cli;
-use crate::disk;
+use crate::commands::check_parent;
+use crate::commands::load;
+use crate::commands::print;
+use crate::commands::print_json;
+use crate::device_folder::disk;
 use crate::failure::Failure;
-use crate::kinect::{Kinect, Led};
-use crate::live::{Live, LiveStats, Polled};
+use crate::kinect::driver::{Kinect, Led};
+use crate::kinect::live::{Live, LiveStats, Polled};
 use crate::report::{Reporter, Step};
-use crate::sensor;
+use crate::sources::sensor;
 use crate::stop::Stop;
 use crossbeam_channel::{Receiver, bounded};
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
@@ -31,7 +34,7 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
     check_parent(&args.output)?;
     #[cfg(feature = "openni")]
     if let Some(address) = &args.openni {
-        return super::openni::run(address, args, as_json, reporter);
+        return crate::commands::openni::run(address, args, as_json, reporter);
     }
     let config = load(&args.settings)?;
     let mut bus = sensor::bus(args.simulate.as_ref())?;
@@ -192,7 +195,7 @@ impl Session {
 
 /// Every counter of a session, for programs.
 pub fn counters(s: &LiveStats) -> serde_json::Value {
-    let stream = |p: &crate::packet::PacketStats| {
+    let stream = |p: &crate::kinect::packet::PacketStats| {
         json!({ "packets": p.packets, "missing": p.missing, "short": p.short, "garbage": p.garbage, "stale": p.stale,
                 "skipped": p.skipped, "resyncs": p.resyncs, "frames": p.frames,
                 "incomplete_frames": p.incomplete_frames, "lost_frames": p.lost_frames })

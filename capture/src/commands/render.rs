@@ -1,23 +1,24 @@
 //! `lumiscan render`: things put into a result, taken out of it, or lit anew.
 
-use super::frames::{Frame, Kind, Lights, Sink};
-use super::{load, use_threads};
 use crate::cli::Settings;
+use crate::commands::frames::{Frame, Kind, Lights, Sink};
+use crate::commands::load;
+use crate::commands::use_threads;
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
 use clap::{Args, ValueEnum};
-use estimator::reality::RealityError;
-use estimator::reality::change::{Changed, change};
-use estimator::reality::compose::{Viewpoint, compose, model};
-use estimator::reality::hole::cut;
-use estimator::reality::infer::infer;
-use estimator::reality::insert::{Insert, give_material, load as load_object};
-use estimator::reality::object::Object;
-use estimator::reality::relight::{NewLight, Relight};
-use estimator::reality::remove::{Removal, select};
-use estimator::reality::seen::{Backdrop, surroundings};
-use estimator::reality::view::{View, ViewChoice, sees, views};
-use estimator::scene::Scene;
+use estimator::rays::Scene;
+use estimator::render::RealityError;
+use estimator::render::change::{Changed, change};
+use estimator::render::compose::{Viewpoint, compose, model};
+use estimator::render::inpainting::geometry::cut;
+use estimator::render::lighting::completion::infer;
+use estimator::render::lighting::observed_background::{Backdrop, surroundings};
+use estimator::render::objects::Object;
+use estimator::render::objects::insert::{Insert, give_material, load as load_object};
+use estimator::render::relight::{NewLight, Relight};
+use estimator::render::removal::{Removal, select};
+use estimator::render::view::{View, ViewChoice, sees, views};
 use firmware_config::RealityConfig;
 use glam::Vec3;
 use recordings::result::Estimate;

@@ -1,15 +1,17 @@
 //! `lumiscan replay`: a recording to a published scan.
 
-use super::{load, print, use_threads};
 use crate::cli;
-use crate::device::{self, Staging};
+use crate::commands::load;
+use crate::commands::print;
+use crate::commands::use_threads;
+use crate::device_folder::publish::{self, Published};
+use crate::device_folder::trajectory;
+use crate::device_folder::{self, Staging};
 use crate::failure::Failure;
 use crate::pipeline::{self, Captured, Job};
-use crate::publish::{self, Published};
 use crate::report::Reporter;
-use crate::source::Pairs;
+use crate::sources::Pairs;
 use crate::stop::Stop;
-use crate::trajectory;
 use std::path::Path;
 
 /// Runs the command.
@@ -24,7 +26,10 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
 
     let job = Job { name: &name, source: &args.source, scan: &scan_path, config: &config, board: None };
     let captured = pipeline::run(pairs, &job, &stop, reporter)?;
-    device::write_file(&staging.folder().join("trajectory.txt"), trajectory::to_tum(&captured.trajectory).as_bytes())?;
+    device_folder::write_file(
+        &staging.folder().join("trajectory.txt"),
+        trajectory::to_tum(&captured.trajectory).as_bytes(),
+    )?;
     told(&captured);
 
     let effort = (!args.no_estimate).then_some(&args.effort);

@@ -1,8 +1,9 @@
 //! `lumiscan scan`: orders to the daemon.
 
-use super::{print, print_json};
 use crate::cli::{self, ScanOrder};
-use crate::control;
+use crate::commands::print;
+use crate::commands::print_json;
+use crate::daemon::control;
 use crate::failure::Failure;
 
 /// Runs the command.

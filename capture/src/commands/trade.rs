@@ -1,15 +1,16 @@
 //! `lumiscan trade`: speed against accuracy, measured on scenes with known truth.
 
-use super::{check_parent, print};
 use crate::cli;
-use crate::device;
+use crate::commands::check_parent;
+use crate::commands::print;
+use crate::device_folder;
 use crate::failure::Failure;
 use crate::report::Reporter;
 use estimator::EstimateError;
-use estimator::plan::Machine;
-use estimator::trade::{self, Point, Truth};
+use estimator::budget::Machine;
+use estimator::sweep::{self, Point, Truth};
 use firmware_config::Config;
-use recordings::photos::import_photos;
+use recordings::import::photos::import_photos;
 use recordings::scan::Scan;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -36,25 +37,25 @@ pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
     let scenes = if args.scenes.is_empty() { bundled.as_slice() } else { &args.scenes };
     let config = Config::default();
     let mut swept: Vec<(String, Vec<Point>)> = Vec::new();
-    let mut csv = trade::CSV_HEAD.to_owned();
+    let mut csv = sweep::CSV_HEAD.to_owned();
     for scene in scenes {
         let shown = scene.display();
         let name = scene.file_stem().map_or("scene".into(), |n| n.to_string_lossy().into_owned());
         let (scan, truth) = open(scene)?;
         let limit = Duration::from_secs_f64(args.limit);
         let points =
-            trade::sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter).map_err(|e| match e {
+            sweep::sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter).map_err(|e| match e {
                 EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
             })?;
         reporter.clear();
-        csv += &trade::to_csv(&name, &points);
+        csv += &sweep::to_csv(&name, &points);
         report(&name, &points)?;
         swept.push((name, points));
     }
-    device::write_file(&args.output, csv.as_bytes())?;
+    device_folder::write_file(&args.output, csv.as_bytes())?;
     let picture = args.output.with_extension("png");
-    let png = trade::plot::draw(&swept).map_err(Failure::Internal)?;
-    device::write_file(&picture, &png)?;
+    let png = sweep::plot::draw(&swept).map_err(Failure::Internal)?;
+    device_folder::write_file(&picture, &png)?;
     print(&args.output.display().to_string())?;
     print(&picture.display().to_string())
 }
@@ -101,12 +102,12 @@ fn report(name: &str, points: &[Point]) -> Result<(), Failure> {
             p.name, p.bands, p.transfer, p.rays, p.seconds
         ))?;
     }
-    let Some(margins) = trade::margins(points) else { return Ok(()) };
-    if points.len() < trade::SETTINGS {
+    let Some(margins) = sweep::margins(points) else { return Ok(()) };
+    if points.len() < sweep::SETTINGS {
         return print(&format!(
             "{name}: no verdict on the rule: {} of {} settings were measured in time; raise --limit",
             points.len(),
-            trade::SETTINGS
+            sweep::SETTINGS
         ));
     }
     let kept = if margins.hold() { "keeps" } else { "breaks" };

@@ -89,7 +89,7 @@ fn write_pictures(result: &Estimate, scan: &Scan, dir: &Path) -> Result<()> {
             std::fs::write(path, &frame.color.bytes)?;
         } else {
             let image = frame.color.decode().map_err(Error::other)?;
-            super::picture::write_png(&path, image.width, image.height, &image.data)?;
+            crate::export::picture::write_png(&path, image.width, image.height, &image.data)?;
         }
     }
     Ok(())

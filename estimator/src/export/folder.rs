@@ -2,7 +2,7 @@
 //! `materials.json`. Conventions: metres, +Z up, camera-to-world poses with OpenCV axes, linear colour, real orthonormal
 //! spherical harmonics without Condon–Shortley phase, index `l*(l+1)+m`.
 
-use super::ply;
+use crate::export::ply;
 use recordings::format_seconds;
 use recordings::result::{Estimate, ResultKeyframe};
 use serde_json::{Value, json};

@@ -1,7 +1,7 @@
 //! A result as a binary glTF 2.0 scene: mesh with albedo as vertex colours, a material per segment
 //! (KHR_materials_specular), the light (EXT_lights_image_based), the keyframes' cameras. +Y up: (x, y, z) = (X, Z, −Y).
 
-use crate::sh;
+use crate::numerics::sh;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::Estimate;
 use serde_json::{Value, json};
@@ -218,7 +218,7 @@ fn light(result: &Estimate, buffer: &mut Buffer) -> Result<(Vec<Value>, Value)> 
         for face in 0..6 {
             let pixels: Vec<u8> =
                 (0..side * side).flat_map(|i| rgbd(radiance(cube_direction(face, i % side, i / side, side)))).collect();
-            let bytes = super::picture::encode_rgba(side, side, &pixels)?;
+            let bytes = crate::export::picture::encode_rgba(side, side, &pixels)?;
             let view = buffer.add(&bytes, None);
             images.push(json!({ "bufferView": view, "mimeType": "image/png" }));
             faces.push(images.len() - 1);
@@ -278,7 +278,7 @@ fn pack(root: &Value, binary: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::export::testing::tiny;
-    use crate::reality::gltf;
+    use crate::render::objects::gltf;
 
     #[test]
     fn our_own_reader_gets_the_mesh_back() {

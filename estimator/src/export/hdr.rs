@@ -3,7 +3,7 @@
 //! Row r: θ = (r + ½)/H · π from +Z; column c: azimuth 2π (c + ½)/W from +Y, clockwise from above;
 //! direction = (sin θ sin a, sin θ cos a, cos θ).
 
-use crate::sh;
+use crate::numerics::sh;
 use glam::DVec3;
 use recordings::result::Light;
 use std::f64::consts::PI;
@@ -45,7 +45,7 @@ pub fn write(light: &Light, path: &Path) -> Result<()> {
 /// The disk is full or gone.
 pub fn write_exr(light: &Light, path: &Path) -> Result<()> {
     let pixels: Vec<glam::Vec3> = panorama(light, SIZE).into_iter().map(glam::Vec3::from).collect();
-    super::picture::write_exr(path, SIZE.0, SIZE.1, &pixels)
+    crate::export::picture::write_exr(path, SIZE.0, SIZE.1, &pixels)
 }
 
 fn write_to(pixels: &[[f32; 3]], (width, height): (usize, usize), mut out: BufWriter<&File>) -> Result<()> {

@@ -1,8 +1,8 @@
 //! The result as one page that any browser opens, without network: mesh, light, segments, transfer and small keyframe
 //! pictures in one file.
 
-use super::picture::encode_rgb;
-use crate::scene::Scene;
+use crate::export::picture::encode_rgb;
+use crate::rays::Scene;
 use crate::transfer::{Transfer, bounce, trace};
 use glam::Vec3;
 use recordings::result::Estimate;

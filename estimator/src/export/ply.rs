@@ -1,6 +1,6 @@
 //! The mesh as binary PLY with everything known of each vertex.
 
-use super::encode_srgb;
+use crate::export::encode_srgb;
 use recordings::result::Estimate;
 use std::fs::File;
 use std::io::{BufWriter, Result, Write};

@@ -1,9 +1,9 @@
 //! A grey, a silver and a mirror ball in the recovered light, seen as the keyframe sees: light at a glance.
 
-use super::view::Panel;
-use crate::reality::environment::Environment;
-use crate::reality::sampling::{ggx_normal, point, smith};
-use crate::sh;
+use crate::numerics::sh;
+use crate::preview::view::Panel;
+use crate::render::lighting::environment::Environment;
+use crate::render::sampling::{ggx_normal, point, smith};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::types::Pose;

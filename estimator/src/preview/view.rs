@@ -1,8 +1,8 @@
 //! The mesh seen from a keyframe, coloured by anything that vertices have.
 
-use crate::raster::{MISS, Raster, camera_positions, scaled};
-use crate::scene::Scene;
-use crate::sh;
+use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
+use crate::numerics::sh;
+use crate::rays::Scene;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};

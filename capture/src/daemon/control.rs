@@ -1,0 +1,207 @@
+//! `lumiscan scan start|stop|status` over a local socket: one word in, one line of JSON out.
+
+use crate::daemon::status::{Board, State};
+use crate::failure::Failure;
+use serde_json::{Value, json};
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// Longest wait for the other side.
+const LIMIT: Duration = Duration::from_secs(2);
+/// Bytes of the longest request.
+const REQUEST_BYTES: usize = 1024;
+
+/// What the user wants: set by the socket and by signals, taken by the daemon.
+#[derive(Debug, Clone, Default)]
+pub struct Orders {
+    start: Arc<AtomicBool>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Orders {
+    /// Also by SIGUSR1 (start) and SIGUSR2 (stop).
+    ///
+    /// # Errors
+    /// The system refuses the handlers.
+    pub fn by_signals(&self) -> Result<(), Failure> {
+        for (signal, order) in [(signal_hook::consts::SIGUSR1, &self.start), (signal_hook::consts::SIGUSR2, &self.stop)]
+        {
+            signal_hook::flag::register(signal, Arc::clone(order))
+                .map_err(|e| Failure::Internal(format!("signal handler: {e}")))?;
+        }
+        Ok(())
+    }
+
+    /// True once for each order to start.
+    #[must_use]
+    pub fn take_start(&self) -> bool {
+        self.start.swap(false, Ordering::AcqRel)
+    }
+
+    /// True once for each order to stop.
+    #[must_use]
+    pub fn take_stop(&self) -> bool {
+        self.stop.swap(false, Ordering::AcqRel)
+    }
+
+    /// Forgets what was ordered before.
+    pub fn clear(&self) {
+        self.start.store(false, Ordering::Release);
+        self.stop.store(false, Ordering::Release);
+    }
+}
+
+/// The daemon's end; removed from the file system when dropped.
+pub struct Server {
+    listener: UnixListener,
+    path: PathBuf,
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+impl Server {
+    /// Listens at `path`, for the user and its group. A socket that nobody listens to any more is replaced.
+    ///
+    /// # Errors
+    /// Another daemon listens there, or the folder cannot be written.
+    pub fn listen(path: &Path) -> Result<Self, Failure> {
+        let cannot = |e: std::io::Error| {
+            Failure::Usage(format!(
+                "{}: {e}; choose another place for the control socket with --socket",
+                path.display()
+            ))
+        };
+        if UnixStream::connect(path).is_ok() {
+            return Err(Failure::Usage(format!("{}: another `lumiscan capture` runs; stop it first", path.display())));
+        }
+        if let Err(e) = std::fs::remove_file(path)
+            && e.kind() != ErrorKind::NotFound
+        {
+            return Err(cannot(e));
+        }
+        let listener = UnixListener::bind(path).map_err(cannot)?;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o660)).map_err(cannot)?;
+        listener.set_nonblocking(true).map_err(cannot)?;
+        Ok(Self { listener, path: path.into() })
+    }
+
+    /// Answers until `done` is set; the body of a thread.
+    pub fn serve(&self, board: &Board, orders: &Orders, done: &AtomicBool) {
+        while !done.load(Ordering::Relaxed) {
+            match self.listener.accept() {
+                Ok((stream, _)) => {
+                    if let Err(e) = answer(stream, board, orders) {
+                        tracing::debug!("control socket: {e}");
+                    }
+                }
+                Err(_) => std::thread::sleep(Duration::from_millis(50)),
+            }
+        }
+    }
+}
+
+fn answer(mut stream: UnixStream, board: &Board, orders: &Orders) -> std::io::Result<()> {
+    stream.set_nonblocking(false)?;
+    stream.set_read_timeout(Some(LIMIT))?;
+    stream.set_write_timeout(Some(LIMIT))?;
+    let mut request = [0u8; REQUEST_BYTES];
+    let mut length = 0;
+    while length < request.len() && !request[..length].contains(&b'\n') {
+        match stream.read(&mut request[length..])? {
+            0 => break,
+            n => length += n,
+        }
+    }
+    let reply = reply(String::from_utf8_lossy(&request[..length]).trim(), board, orders);
+    writeln!(stream, "{reply}")
+}
+
+fn reply(request: &str, board: &Board, orders: &Orders) -> Value {
+    let status = board.get();
+    let refused = |problem: String| json!({ "ok": false, "problem": problem });
+    let state = format!("{:?}", status.state).to_lowercase();
+    match (request, status.state) {
+        ("status", _) => json!({ "ok": true, "status": status }),
+        ("start", State::Ready) => {
+            orders.start.store(true, Ordering::Release);
+            json!({ "ok": true })
+        }
+        ("start", State::Waiting) => refused("no Kinect is plugged in; plug one in".into()),
+        ("start", _) => refused(format!("the box is {state}; wait for it to be ready")),
+        ("stop", State::Scanning) => {
+            orders.stop.store(true, Ordering::Release);
+            json!({ "ok": true })
+        }
+        ("stop", _) => refused(format!("there is no scan to stop: the box is {state}")),
+        _ => refused("not understood; say start, stop or status".into()),
+    }
+}
+
+/// Asks the daemon at `path`.
+///
+/// # Errors
+/// No daemon listens there, or it does not answer.
+pub fn ask(path: &Path, request: &str) -> Result<Value, Failure> {
+    let failed = |e: std::io::Error| {
+        Failure::Input(format!("{}: {e}; is `lumiscan capture` running, and are you in its group?", path.display()))
+    };
+    let mut stream = UnixStream::connect(path).map_err(failed)?;
+    stream.set_read_timeout(Some(2 * LIMIT)).map_err(failed)?;
+    writeln!(stream, "{request}").map_err(failed)?;
+    let mut text = String::new();
+    stream.take(1 << 20).read_to_string(&mut text).map_err(failed)?;
+    serde_json::from_str(&text).map_err(|e| failed(e.into()))
+}
+
+/// Where the daemon listens: as given, or at the service's place if that runs, or in the device folder.
+#[must_use]
+pub fn socket_path(given: Option<&PathBuf>, device: &Path) -> PathBuf {
+    const OF_THE_SERVICE: &str = "/run/lumiscan/control";
+    let service = Path::new(OF_THE_SERVICE);
+    match given {
+        Some(path) => path.clone(),
+        None if service.exists() => service.into(),
+        None => device.join("control"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orders_follow_the_state() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("control");
+        let (board, orders, done) = (Board::default(), Orders::default(), AtomicBool::new(false));
+        let server = Server::listen(&path).unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| server.serve(&board, &orders, &done));
+            let ok = |request| ask(&path, request).unwrap()["ok"].as_bool().unwrap();
+            assert!(!ok("start") && !orders.take_start());
+            board.enter(State::Ready);
+            assert!(!ok("stop") && ok("start") && orders.take_start() && !orders.take_start());
+            board.begin_scan("x");
+            assert!(!ok("start") && ok("stop") && orders.take_stop());
+            assert_eq!(ask(&path, "status").unwrap()["status"]["scan"]["name"], "x");
+            assert!(!ok("sing") && !ok("yyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyy"));
+            // One that says nothing holds nobody up for long.
+            let silent = UnixStream::connect(&path).unwrap();
+            silent.shutdown(std::net::Shutdown::Write).unwrap();
+            assert!(!ok(""));
+            assert!(matches!(Server::listen(&path), Err(Failure::Usage(_))), "one daemon at a place");
+            done.store(true, Ordering::Relaxed);
+        });
+        drop(server);
+        assert!(!path.exists() && ask(&path, "status").is_err());
+    }
+}

@@ -1,0 +1,98 @@
+//! From a captured scan to a published one: light and materials, preview, manifest.
+
+use crate::child::{self, Ended};
+use crate::cli::Effort;
+use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, Manifest};
+use crate::device_folder::{self, Staging};
+use crate::failure::Failure;
+use crate::memory;
+use crate::pipeline::Captured;
+use crate::report::Reporter;
+use crate::stop::Stop;
+use recordings::result::Estimate;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime};
+
+/// A published scan.
+pub struct Published {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// What is in it.
+    pub manifest: Manifest,
+    /// What became of the estimator, if not all went well: the scan is published all the same.
+    pub failure: Option<Failure>,
+}
+
+/// Estimates the scan in `staging` (unless there is no `effort` for it) and publishes the folder.
+///
+/// # Errors
+/// The disk is full or gone, or a signal came; nothing is published then.
+pub fn publish(
+    staging: Staging,
+    name: String,
+    mut capture: CaptureEntry,
+    effort: Option<&Effort>,
+    stop: &Stop,
+    reporter: &Reporter,
+) -> Result<Published, Failure> {
+    let (estimator, failure) = match effort {
+        None => (EstimatorEntry { outcome: "skipped", ..EstimatorEntry::default() }, None),
+        Some(effort) => estimate(staging.folder(), effort, stop, reporter)?,
+    };
+    stop.check()?;
+    let published = device_folder::utc(SystemTime::now());
+    // Reading the result back counts too.
+    capture.memory_peak_bytes = memory::peak_bytes();
+    let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
+    device_folder::write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
+    let folder = staging.publish()?;
+    Ok(Published { folder, manifest, failure })
+}
+
+/// Runs the estimator. The scan is worth publishing whatever becomes of it: the manifest says what did.
+fn estimate(
+    folder: &Path,
+    effort: &Effort,
+    stop: &Stop,
+    reporter: &Reporter,
+) -> Result<(EstimatorEntry, Option<Failure>), Failure> {
+    if effort.rounds.is_none() {
+        reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
+    }
+    let Ended { summary, mut failure } = child::estimate(folder, effort, stop, reporter)?;
+    let mut entry = EstimatorEntry { outcome: "failed", ..EstimatorEntry::default() };
+    if let Some(summary) = summary {
+        entry.seconds = summary.stages;
+        entry.seconds.push(("total".into(), summary.seconds));
+        entry.memory_peak_bytes = summary.memory_peak_bytes;
+    }
+    let result = folder.join("result.lres");
+    if result.exists() {
+        match Estimate::read(&result) {
+            Ok(estimate) => {
+                entry.outcome = if failure.is_none() { "done" } else { "partial" };
+                entry.vertices = estimate.mesh.positions.len();
+                entry.decisions = estimate.decisions;
+                entry.cuts = estimate.cuts;
+                entry.warnings = estimate.warnings;
+            }
+            Err(e) => failure = failure.or(Some(Failure::Internal(e.to_string()))),
+        }
+    }
+    entry.problem = failure.as_ref().map(ToString::to_string);
+    Ok((entry, failure))
+}
+
+/// The capture's part of the manifest.
+#[must_use]
+pub fn capture_entry(source: &Path, captured: Captured) -> CaptureEntry {
+    let seconds = [("fusion", captured.fusion), ("extraction", captured.extraction), ("writing", captured.writing)];
+    CaptureEntry {
+        source: source.file_name().unwrap_or(source.as_os_str()).to_string_lossy().into_owned(),
+        vertices: captured.vertices,
+        keyframes: captured.keyframes,
+        seconds: seconds.iter().map(|(name, d)| ((*name).to_owned(), d.as_secs_f64())).collect(),
+        memory_peak_bytes: memory::peak_bytes(),
+        stats: captured.stats,
+    }
+}

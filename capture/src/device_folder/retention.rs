@@ -1,0 +1,207 @@
+//! The device folder over years: names that are unique without a clock, room for the next scan, and what an interrupted
+//! run left.
+
+use crate::device_folder::disk;
+use crate::device_folder::write_file;
+use crate::failure::Failure;
+use firmware_config::DaemonConfig;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// Prefix of the folders that the daemon fills.
+pub const UNFINISHED: &str = ".capture-";
+/// Where partial scans are kept.
+const ASIDE: &str = "aside";
+/// File with the number of the newest scan.
+const COUNTER: &str = "counter";
+/// How scans of the daemon are called.
+const NAME: &str = "scan";
+
+/// The next scan's name, `scan-0042`: numbers are never used twice, whatever the clock says and whatever was deleted.
+///
+/// # Errors
+/// The device folder cannot be written.
+pub fn next_name(device: &Path) -> Result<String, Failure> {
+    let path = device.join(COUNTER);
+    let stored = std::fs::read_to_string(&path).ok().and_then(|t| t.trim().parse::<u64>().ok()).unwrap_or(0);
+    let used =
+        [device.join("scans"), device.join(ASIDE)].iter().flat_map(|d| names(d)).filter_map(|n| number(&n)).max();
+    let next = stored.max(used.unwrap_or(0)).saturating_add(1);
+    // By rename, so that a power cut leaves the old number or the new one.
+    let part = device.join(format!("{COUNTER}.part"));
+    write_file(&part, format!("{next}\n").as_bytes())?;
+    std::fs::rename(&part, &path).map_err(|e| Failure::writing(&path, e))?;
+    Ok(format!("{NAME}-{next:04}"))
+}
+
+/// The number in `20261121T110534Z-scan-0042` or, published a second time, `…-scan-0042-2`.
+fn number(folder: &str) -> Option<u64> {
+    let (_, rest) = folder.rsplit_once(&format!("-{NAME}-"))?;
+    rest.split('-').next()?.parse().ok()
+}
+
+fn names(dir: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(dir).into_iter().flatten().flatten();
+    entries.filter_map(|e| e.file_name().into_string().ok()).collect()
+}
+
+/// Folders that interrupted runs of the daemon left: those with a complete scan file can be finished.
+#[must_use]
+pub fn unfinished(device: &Path) -> Vec<PathBuf> {
+    let scans = device.join("scans");
+    let mut all: Vec<_> =
+        names(&scans).into_iter().filter(|n| n.starts_with(UNFINISHED)).map(|n| scans.join(n)).collect();
+    all.sort();
+    all
+}
+
+/// Puts what cannot be finished out of the way, and keeps only the newest few of its kind.
+///
+/// # Errors
+/// The device folder cannot be written.
+pub fn set_aside(device: &Path, folder: &Path, keep: u32) -> Result<(), Failure> {
+    let aside = device.join(ASIDE);
+    std::fs::create_dir_all(&aside).map_err(|e| Failure::writing(&aside, e))?;
+    let name = folder.file_name().map_or("partial".into(), |n| n.to_string_lossy().replacen(UNFINISHED, "", 1));
+    let target = aside.join(&name);
+    // One of the same name is of the same interrupted scan.
+    let _ = std::fs::remove_dir_all(&target);
+    std::fs::rename(folder, &target).map_err(|e| Failure::writing(&target, e))?;
+    tracing::warn!("an interrupted scan is set aside in {}", target.display());
+    let mut all = by_age(&aside);
+    let surplus = all.len().saturating_sub(keep as usize);
+    all.drain(..surplus).for_each(|old| remove(&old));
+    Ok(())
+}
+
+/// Removes the oldest finished scans until the device folder is within its limit and the disk has room.
+///
+/// # Errors
+/// There is not enough room although no finished scan is left.
+pub fn make_room(device: &Path, config: &DaemonConfig) -> Result<(), Failure> {
+    let scans = device.join("scans");
+    let mut finished = by_age(&scans);
+    finished.retain(|f| f.file_name().is_some_and(|n| !n.to_string_lossy().starts_with('.')));
+    let limit = u64::from(config.max_folder_mb) * 1_000_000;
+    let mut used: u64 = finished.iter().map(|f| size(f)).sum();
+    let mut oldest = finished.into_iter();
+    while used > limit || !has_room(device, config)? {
+        let Some(folder) = oldest.next() else { break };
+        used = used.saturating_sub(size(&folder));
+        tracing::warn!("{} goes, to make room", folder.display());
+        remove(&folder);
+    }
+    if has_room(device, config)? {
+        return Ok(());
+    }
+    Err(Failure::Internal(format!(
+        "{}: less than {} MB are free; free some, or lower daemon.min_free_mb",
+        device.display(),
+        config.min_free_mb
+    )))
+}
+
+/// True if the disk has the room that a scan in progress needs.
+///
+/// # Errors
+/// The device folder is gone.
+pub fn has_room(device: &Path, config: &DaemonConfig) -> Result<bool, Failure> {
+    Ok(disk::free_bytes(device)? >= u64::from(config.min_free_mb) * 1_000_000)
+}
+
+/// Folders, oldest first: by the daemon's own numbers (the clock may have been wrong), those without one before.
+fn by_age(dir: &Path) -> Vec<PathBuf> {
+    let mut all: Vec<_> = names(dir)
+        .into_iter()
+        .map(|name| {
+            let path = dir.join(&name);
+            let changed = std::fs::metadata(&path).and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH);
+            (number(&name).unwrap_or(0), changed, name, path)
+        })
+        .filter(|(.., path)| path.is_dir())
+        .collect();
+    all.sort();
+    all.into_iter().map(|(.., path)| path).collect()
+}
+
+/// Bytes of the files in a folder.
+fn size(folder: &Path) -> u64 {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
+}
+
+/// Renamed first, so that a folder is there as a whole or not at all.
+fn remove(folder: &Path) {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let doomed = folder.with_file_name(format!(".staging-0-{name}"));
+    if let Err(e) = std::fs::rename(folder, &doomed).and_then(|()| std::fs::remove_dir_all(&doomed)) {
+        tracing::warn!("{}: {e}", folder.display());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scan(device: &Path, name: &str, bytes: usize) {
+        let folder = device.join("scans").join(name);
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("scan.lscan"), vec![0; bytes]).unwrap();
+    }
+
+    #[test]
+    fn numbers_are_never_used_twice() {
+        let device = tempfile::tempdir().unwrap();
+        assert_eq!(next_name(device.path()).unwrap(), "scan-0001");
+        assert_eq!(next_name(device.path()).unwrap(), "scan-0002");
+        // The counter is lost, the scans are not.
+        std::fs::remove_file(device.path().join(COUNTER)).unwrap();
+        scan(device.path(), "19700101T000012Z-scan-0007-2", 1);
+        assert_eq!(next_name(device.path()).unwrap(), "scan-0008");
+        std::fs::write(device.path().join(COUNTER), "nonsense").unwrap();
+        assert_eq!(next_name(device.path()).unwrap(), "scan-0008");
+    }
+
+    #[test]
+    fn the_oldest_go_first_and_the_one_in_progress_never() {
+        let device = tempfile::tempdir().unwrap();
+        for name in [
+            "20990101T000000Z-scan-0002",
+            "19700101T000000Z-scan-0010",
+            "19700101T000000Z-scan-0003",
+            ".capture-20000101T000000Z-scan-0001",
+        ] {
+            scan(device.path(), name, 1_000_000);
+        }
+        let config = DaemonConfig { max_folder_mb: 2, min_free_mb: 1, ..DaemonConfig::default() };
+        make_room(device.path(), &config).unwrap();
+        let mut left = names(&device.path().join("scans"));
+        left.sort();
+        assert_eq!(
+            left,
+            [".capture-20000101T000000Z-scan-0001", "19700101T000000Z-scan-0003", "19700101T000000Z-scan-0010"]
+        );
+    }
+
+    #[test]
+    fn a_full_disk_is_said_when_nothing_is_left_to_remove() {
+        let device = tempfile::tempdir().unwrap();
+        scan(device.path(), "20000101T000000Z-scan-0001", 10);
+        let config = DaemonConfig { min_free_mb: 1_000_000, ..DaemonConfig::default() };
+        assert!(make_room(device.path(), &config).unwrap_err().to_string().contains("min_free_mb"));
+    }
+
+    #[test]
+    fn partial_scans_are_kept_aside_but_not_for_ever() {
+        let device = tempfile::tempdir().unwrap();
+        for i in 1..=5 {
+            let name = format!("{UNFINISHED}20000101T00000{i}Z-scan-000{i}");
+            scan(device.path(), &name, 10);
+            set_aside(device.path(), &device.path().join("scans").join(name), 2).unwrap();
+        }
+        let mut left = names(&device.path().join(ASIDE));
+        left.sort();
+        assert_eq!(left, ["20000101T000004Z-scan-0004", "20000101T000005Z-scan-0005"]);
+        assert!(unfinished(device.path()).is_empty());
+    }
+}

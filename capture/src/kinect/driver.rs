@@ -1,0 +1,289 @@
+//! One Kinect: opened, its calibration read, its streams started and stopped; LED and accelerometer where it has them.
+
+use crate::kinect::protocol::{Commands, KinectError};
+use crate::kinect::transport::{Bus, Found, PacketSource, RING_BYTES, Transport, UsbError, packet_ring};
+use firmware_config::KinectConfig;
+use firmware_config::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, Model, Part, StreamFormat};
+use recordings::types::UsbPacket;
+use std::time::Duration;
+
+/// RGB sensor register of the shutter width.
+const SHUTTER_WIDTH: u16 = 0x0009;
+/// Microseconds a unit of it, Bayer at 30 Hz.
+const SHUTTER_US: f64 = 54.21;
+/// Least time between two readings of it while streaming: at most two commands a second.
+const SHUTTER_INTERVAL: Duration = Duration::from_millis(500);
+/// LED, accelerometer and exposure are a courtesy: no longer than this is waited for them while packets wait.
+const COURTESY_LIMIT: Duration = Duration::from_millis(100);
+/// The same while nothing streams.
+const IDLE_COURTESY_LIMIT: Duration = Duration::from_millis(500);
+/// Failures in a row after which LED and accelerometer are left alone.
+const COURTESY_FAILURES: u32 = 3;
+/// Replies of earlier commands that are read away before one of them is believed to be missing.
+const AUDIO_REPLIES: u32 = 4;
+/// Counts a g of the accelerometer.
+const COUNTS_PER_G: f32 = 819.0;
+const GRAVITY: f32 = 9.806_65;
+
+/// What the LED says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Led {
+    /// Ready: green.
+    Ready,
+    /// Scanning: blinking green.
+    Scanning,
+    /// At work on a scan, and not to be had: yellow, or off where there is no yellow.
+    Busy,
+    /// Error: red.
+    Error,
+}
+
+/// An opened Kinect.
+pub struct Kinect {
+    usb: Box<dyn Transport>,
+    found: Found,
+    commands: Commands,
+    depth: &'static StreamFormat,
+    color: &'static StreamFormat,
+    streaming: bool,
+    courtesy: Courtesy,
+    last_shutter: Option<Duration>,
+}
+
+/// LED and accelerometer.
+#[derive(Debug)]
+struct Courtesy {
+    /// Which device has them; `None` where none has, or once it did not answer for some time.
+    part: Option<Part>,
+    failures: u32,
+    tag: u32,
+}
+
+impl Kinect {
+    /// Opens the only Kinect, or the one with this serial number.
+    ///
+    /// # Errors
+    /// There is none, it is not permitted, or it does not answer as a Kinect does.
+    pub fn open(bus: &mut dyn Bus, serial: &str, config: &KinectConfig) -> Result<Self, KinectError> {
+        let found = choose(&bus.list()?, serial)?;
+        let mut usb = bus.open(&found)?;
+        if let Some(setting) = found.model.alternate_setting() {
+            usb.select_alternate(setting)?;
+        }
+        // A reply to an earlier session's command shall not look like one to ours.
+        let first_tag = std::process::id() as u16 ^ usb.now().as_micros() as u16;
+        let mut commands = Commands::new(Duration::from_millis(u64::from(config.command_limit_ms)), first_tag);
+        commands.read_calibration(usb.as_mut())?;
+        Ok(Self {
+            usb,
+            commands,
+            depth: if config.depth_bits == 10 { &DEPTH_10 } else { &DEPTH_11 },
+            color: if config.color_sxga { &BAYER_SXGA } else { &BAYER_VGA },
+            streaming: false,
+            courtesy: Courtesy {
+                part: Some(if found.model == Model::K1414 { Part::Motor } else { Part::Audio }),
+                failures: 0,
+                tag: 1,
+            },
+            found,
+            last_shutter: None,
+        })
+    }
+
+    /// The device.
+    #[must_use]
+    pub fn found(&self) -> &Found {
+        &self.found
+    }
+
+    /// Format of its depth stream.
+    #[must_use]
+    pub fn depth_format(&self) -> &'static StreamFormat {
+        self.depth
+    }
+
+    /// Format of its colour stream.
+    #[must_use]
+    pub fn color_format(&self) -> &'static StreamFormat {
+        self.color
+    }
+
+    /// Commands and replies that say how its streams are to be read: what [`crate::kinect::decoder::Decoder`] is told first.
+    #[must_use]
+    pub fn traffic(&self) -> &[UsbPacket] {
+        self.commands.traffic()
+    }
+
+    /// Starts depth and colour. The transfers are submitted first, then the registers are written.
+    ///
+    /// # Errors
+    /// Unplugged, no bandwidth, or no answer; nothing streams then.
+    pub fn start(&mut self) -> Result<PacketSource, KinectError> {
+        let (sink, mut source) = packet_ring(RING_BYTES);
+        self.usb.start(&[self.depth.endpoint, self.color.endpoint], sink)?;
+        self.streaming = true;
+        let registers = self.depth.start.iter().chain(self.color.start);
+        for &(register, value) in registers {
+            if let Err(e) = self.commands.write_register(self.usb.as_mut(), register, value) {
+                self.stop();
+                return Err(e);
+            }
+        }
+        // Nobody takes packets while slow commands are waited for.
+        source.begin_anew_if_full();
+        Ok(source)
+    }
+
+    /// Stops both streams: registers first, then the transfers are cancelled and drained.
+    pub fn stop(&mut self) {
+        if !std::mem::take(&mut self.streaming) {
+            return;
+        }
+        for &(register, value) in self.depth.stop.iter().chain(self.color.stop) {
+            // It may be gone; the transfers are to be drained all the same.
+            if let Err(e) = self.commands.write_register(self.usb.as_mut(), register, value) {
+                tracing::debug!("stopping: {e}");
+                break;
+            }
+        }
+        self.usb.stop();
+    }
+
+    /// Time on the clock that limits are measured with.
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.usb.now()
+    }
+
+    /// True if the device waits for who reads.
+    #[must_use]
+    pub fn waits(&self) -> bool {
+        self.usb.waits()
+    }
+
+    /// Shows a state on the LED, if there is one: no failure of it is one of the capture.
+    pub fn set_led(&mut self, led: Led) {
+        let outcome = match self.courtesy.part {
+            Some(Part::Motor) => {
+                let value = match led {
+                    Led::Ready => 1,
+                    Led::Scanning => 4,
+                    Led::Error => 2,
+                    Led::Busy => 3,
+                };
+                self.usb.control_out(Part::Motor, 0x06, value, &[], self.patience())
+            }
+            Some(_) => {
+                let value = match led {
+                    Led::Ready => 3,
+                    Led::Scanning => 2,
+                    Led::Error => 4,
+                    Led::Busy => 1,
+                };
+                self.audio_command(&[0, 0x10, value]).and_then(|tag| self.audio_status(tag))
+            }
+            None => return,
+        };
+        self.courteously(outcome);
+    }
+
+    /// Specific force in m/s², camera axes; `None` where it cannot be had.
+    pub fn accelerometer(&mut self) -> Option<[f32; 3]> {
+        let outcome = match self.courtesy.part? {
+            Part::Motor => self.motor_accelerometer(),
+            _ => self.audio_accelerometer(),
+        };
+        let counts = self.courteously(outcome)?;
+        let [x, y, z] = counts.map(|c| c as f32 / COUNTS_PER_G * GRAVITY);
+        // Its axes are left, up and forward.
+        Some([-x, -y, z])
+    }
+
+    /// Exposure time in microseconds as the sensor's register says: a hint. `None` where it is not known, or was asked
+    /// for too recently.
+    pub fn exposure_us(&mut self) -> Option<f64> {
+        let now = self.usb.now();
+        if self.last_shutter.is_some_and(|t| now.saturating_sub(t) < SHUTTER_INTERVAL) {
+            return None;
+        }
+        self.last_shutter = Some(now);
+        let width = self.commands.read_cmos(self.usb.as_mut(), SHUTTER_WIDTH, COURTESY_LIMIT).ok()?;
+        Some(f64::from(width) * SHUTTER_US)
+    }
+
+    fn patience(&self) -> Duration {
+        if self.streaming { COURTESY_LIMIT } else { IDLE_COURTESY_LIMIT }
+    }
+
+    fn motor_accelerometer(&mut self) -> Result<[i32; 3], UsbError> {
+        let mut state = [0u8; 10];
+        let n = self.usb.control_in(Part::Motor, 0x32, 0, &mut state, self.patience())?;
+        if n < 8 {
+            return Err(UsbError::Other(format!("{n} bytes of motor state")));
+        }
+        Ok([2, 4, 6].map(|i| i32::from(i16::from_be_bytes([state[i], state[i + 1]]))))
+    }
+
+    fn audio_accelerometer(&mut self) -> Result<[i32; 3], UsbError> {
+        let tag = self.audio_command(&[0x68, 0x8032])?;
+        let mut state = [0u8; 512];
+        let n = self.usb.bulk_in(&mut state, self.patience())?;
+        let bytes =
+            state.get(..n).and_then(|s| s.get(16..28)).ok_or_else(|| UsbError::Other(format!("{n} bytes of state")))?;
+        let counts = [0, 4, 8].map(|i| i32::from_le_bytes([bytes[i], bytes[i + 1], bytes[i + 2], bytes[i + 3]]));
+        self.audio_status(tag)?;
+        Ok(counts)
+    }
+
+    /// Sends `{magic, tag, words…}` to the audio device; returns the tag.
+    fn audio_command(&mut self, words: &[u32]) -> Result<u32, UsbError> {
+        let tag = self.courtesy.tag;
+        self.courtesy.tag = tag.wrapping_add(1);
+        let bytes: Vec<u8> = [0x0602_2009, tag].iter().chain(words).flat_map(|w| w.to_le_bytes()).collect();
+        self.usb.bulk_out(&bytes, self.patience())?;
+        Ok(tag)
+    }
+
+    fn audio_status(&mut self, tag: u32) -> Result<(), UsbError> {
+        let mut status = [0u8; 512];
+        let expected: Vec<u8> = [0x0a6f_e000, tag, 0u32].iter().flat_map(|w| w.to_le_bytes()).collect();
+        // One that was given up may have been answered since.
+        for _ in 0..AUDIO_REPLIES {
+            let n = self.usb.bulk_in(&mut status, self.patience())?;
+            if status.get(..n) == Some(&expected[..]) {
+                return Ok(());
+            }
+        }
+        Err(UsbError::Other("the audio device answers something else".into()))
+    }
+
+    /// What is not there, or fails again and again, is left alone from then on.
+    fn courteously<T>(&mut self, outcome: Result<T, UsbError>) -> Option<T> {
+        match outcome {
+            Ok(value) => {
+                self.courtesy.failures = 0;
+                Some(value)
+            }
+            Err(e) => {
+                self.courtesy.failures += 1;
+                if e == UsbError::NoDevice || self.courtesy.failures >= COURTESY_FAILURES {
+                    tracing::info!("no LED and accelerometer: {e}");
+                    self.courtesy.part = None;
+                }
+                None
+            }
+        }
+    }
+}
+
+impl Drop for Kinect {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// The one with this serial number, or the only one.
+fn choose(all: &[Found], serial: &str) -> Result<Found, UsbError> {
+    let chosen = if serial.is_empty() { all.first() } else { all.iter().find(|f| f.serial == serial) };
+    chosen.cloned().ok_or(UsbError::NoDevice)
+}

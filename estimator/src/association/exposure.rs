@@ -1,0 +1,427 @@
+//! Exposure gains of the keyframes (Eq. 5), jointly over the whole surface in the log domain.
+//!
+//! Gloss makes surfaces disagree with each other smoothly and by far more than noise, so single vertices cannot tell
+//! which of them is right. Patches can: within one, vertices share their view dependence and their noise averages out.
+//! Each patch says how the keyframes differ over it, and the gains are those that most of the patches agree on.
+
+use crate::association::{LightField, Observation};
+use crate::numerics::robust::{median, weighted_median};
+use firmware_config::ExposureChoice;
+use glam::Vec3;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use recordings::result::Decision;
+use recordings::types::Mesh;
+
+/// Edge of a patch in median edges.
+const PATCH_EDGES: f32 = 10.0;
+/// A patch's keyframe counts in full from this sum of weights on.
+const FULL_WEIGHT: f64 = 20.0;
+/// Log deviation that a diffuse patch may show in a good scan. In a worse one, where even the better patches (this share
+/// of all) deviate more, that is the measure.
+const DIFFUSE_LOG: f64 = 0.02;
+const BETTER_SHARE: f64 = 0.25;
+/// A tolerance that nothing exceeds.
+const EVERYTHING: f64 = 1e12;
+/// Rounds of reweighting.
+const ROUNDS: usize = 15;
+
+/// How the keyframes differ over a patch: log picture values up to a constant, per keyframe that sees it.
+struct Patch {
+    keyframes: Vec<u16>,
+    logs: Vec<[f64; 3]>,
+    weights: Vec<f64>,
+    color: Vec3,
+    facing: usize,
+}
+
+/// Gains g_j per channel (picture = gain · radiance), geometric mean 1, and what was decided.
+pub fn solve(
+    field: &LightField,
+    mesh: &Mesh,
+    median_edge: f32,
+    keyframes: usize,
+    choice: ExposureChoice,
+    dark: f32,
+) -> (Vec<[f64; 3]>, Option<Decision>) {
+    let neutral = vec![[1.0; 3]; keyframes];
+    if choice == ExposureChoice::None || keyframes < 2 {
+        return (neutral, None);
+    }
+    let patches = patches(field, mesh, median_edge * PATCH_EDGES, dark);
+    if patches.is_empty() {
+        return (neutral, None);
+    }
+    let all: Vec<&Patch> = patches.iter().collect();
+    let start = agreed(&all, keyframes);
+    let fit = |patches: &[&Patch], rgb: bool| refine(patches, start.clone(), rgb);
+    let (logs, decision) = match choice {
+        ExposureChoice::None => return (neutral, None),
+        ExposureChoice::Scalar => (fit(&all, false), None),
+        ExposureChoice::Rgb => (fit(&all, true), None),
+        ExposureChoice::Auto => {
+            // Gains from one half of the patches have to predict the other half.
+            let (half, other): (Vec<_>, Vec<_>) = all.iter().enumerate().partition(|(i, _)| i.is_multiple_of(2));
+            let [half, other] = [half, other].map(|h| h.into_iter().map(|p| *p.1).collect::<Vec<&Patch>>());
+            let none = vec![[0.0; 3]; keyframes];
+            let scale = tolerance(&other, &start);
+            let [none, one, three] =
+                [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l, scale));
+            let use_rgb = three < 0.9 * one;
+            // No gains at all, if gains predict the held-out patches no better.
+            let use_none = none <= one && !use_rgb;
+            let decision = Decision {
+                name: "exposure".into(),
+                choice: if use_rgb {
+                    "rgb"
+                } else if use_none {
+                    "none"
+                } else {
+                    "scalar"
+                }
+                .into(),
+                evidence: format!(
+                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
+                ),
+                cost: format!("{} patches", all.len()),
+                next_level: if use_rgb {
+                    String::new()
+                } else if use_none {
+                    format!("one gain a keyframe: {one:.4}")
+                } else {
+                    format!("rgb gains: {three:.4}")
+                },
+            };
+            if use_none {
+                return (neutral, Some(decision));
+            }
+            (fit(&all, use_rgb), Some(decision))
+        }
+    };
+    (logs.iter().map(|l| l.map(libm::exp)).collect(), decision)
+}
+
+/// Surface patches: cubes of space, one per main direction of the normal.
+fn patches(field: &LightField, mesh: &Mesh, size: f32, dark: f32) -> Vec<Patch> {
+    let facing = |n: Vec3| {
+        let a = n.abs();
+        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
+        2 * axis + usize::from(n[axis] < 0.0)
+    };
+    let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..mesh.positions.len())
+        .filter(|&i| field.offsets[i + 1] - field.offsets[i] >= 2)
+        .map(|i| {
+            let cell = ((mesh.positions[i] - origin) / size).floor().as_ivec3();
+            (cell.to_array(), facing(mesh.normals[i]), i)
+        })
+        .collect();
+    keyed.sort_unstable();
+    let groups: Vec<&[([i32; 3], usize, usize)]> = keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
+    groups.par_iter().filter_map(|g| Patch::new(field, g, dark)).collect()
+}
+
+/// A usable observation: vertex within the patch, keyframe within the patch, log colour, weight.
+struct Entry {
+    vertex: usize,
+    keyframe: usize,
+    log: [f64; 3],
+    weight: f64,
+}
+
+impl Patch {
+    fn new(field: &LightField, members: &[([i32; 3], usize, usize)], dark: f32) -> Option<Self> {
+        let usable = |o: &&Observation| o.weight > 1e-3 && o.color.iter().all(|&c| c > dark);
+        let mut keyframes: Vec<u16> = Vec::new();
+        let row = |i: usize| &field.observations[field.offsets[i] as usize..field.offsets[i + 1] as usize];
+        for m in members {
+            keyframes.extend(row(m.2).iter().filter(usable).map(|o| o.keyframe));
+        }
+        keyframes.sort_unstable();
+        keyframes.dedup();
+        if keyframes.len() < 2 {
+            return None;
+        }
+        let mut entries = Vec::new();
+        let mut color = Vec3::ZERO;
+        for (vertex, m) in members.iter().enumerate() {
+            for o in row(m.2).iter().filter(usable) {
+                let log = o.color.map(|c| libm::log(f64::from(c)));
+                let keyframe = keyframes.partition_point(|&k| k < o.keyframe);
+                color += Vec3::from_array(log.map(|l| l as f32));
+                entries.push(Entry { vertex, keyframe, log, weight: f64::from(o.weight) });
+            }
+        }
+        let color = color / entries.len() as f32;
+        let (logs, weights) = two_way(&entries, members.len(), keyframes.len());
+        Some(Self { keyframes, logs, weights, color, facing: members[0].1 })
+    }
+
+    /// Log deviation of every keyframe from what `gains` predict, about the patch's weighted median, and the weights.
+    fn deviations(&self, gains: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let relative: Vec<[f64; 3]> = self
+            .keyframes
+            .iter()
+            .zip(&self.logs)
+            .map(|(&k, l)| std::array::from_fn(|c| l[c] - gains[k as usize][c]))
+            .collect();
+        let centre: [f64; 3] = std::array::from_fn(|c| {
+            let mut values: Vec<(f64, f64)> = relative.iter().zip(&self.weights).map(|(r, &w)| (r[c], w)).collect();
+            weighted_median(&mut values)
+        });
+        relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
+    }
+
+    /// Weighted mean square of the deviations, and the weight of that statement.
+    fn spread(&self, deviations: &[[f64; 3]]) -> (f64, f64) {
+        let total: f64 = self.weights.iter().sum();
+        let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
+        (sum / total.max(1e-12), total * (1.0 - 1.0 / self.keyframes.len() as f64))
+    }
+}
+
+fn mean_square(d: &[f64; 3]) -> f64 {
+    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
+}
+
+/// log = vertex + keyframe, by turns, with Huber weights; returns the keyframe terms and their capped weights.
+fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3]>, Vec<f64>) {
+    let mut by_keyframe = vec![[0.0; 3]; keyframes];
+    let mut weights = vec![0.0; keyframes];
+    let mut robust: Vec<f64> = entries.iter().map(|e| e.weight).collect();
+    let mut by_vertex = vec![[0.0; 3]; vertices];
+    for round in 0..6 {
+        average(entries, &robust, &mut by_vertex, |e| e.vertex, |e| by_keyframe[e.keyframe]);
+        average(entries, &robust, &mut by_keyframe, |e| e.keyframe, |e| by_vertex[e.vertex]);
+        if round % 2 == 1 {
+            let residual = |e: &Entry| {
+                let (v, k) = (by_vertex[e.vertex], by_keyframe[e.keyframe]);
+                mean_square(&std::array::from_fn(|c| e.log[c] - v[c] - k[c])).sqrt()
+            };
+            let residuals: Vec<f64> = entries.iter().map(residual).collect();
+            let bound = 1.5 * 1.4826 * median(residuals.clone()).max(1e-4);
+            for ((w, e), r) in robust.iter_mut().zip(entries).zip(residuals) {
+                *w = e.weight * (bound / r.max(bound));
+            }
+        }
+    }
+    for (e, w) in entries.iter().zip(&robust) {
+        weights[e.keyframe] += w;
+    }
+    (by_keyframe, weights.into_iter().map(|w| w / (w + FULL_WEIGHT)).collect())
+}
+
+fn average(
+    entries: &[Entry],
+    weights: &[f64],
+    into: &mut [[f64; 3]],
+    index: impl Fn(&Entry) -> usize,
+    other: impl Fn(&Entry) -> [f64; 3],
+) {
+    let mut sums = vec![([0.0; 3], 0.0); into.len()];
+    for (e, &w) in entries.iter().zip(weights) {
+        let o = other(e);
+        let sum = &mut sums[index(e)];
+        for ((s, log), o) in sum.0.iter_mut().zip(&e.log).zip(&o) {
+            *s += w * (log - o);
+        }
+        sum.1 += w;
+    }
+    for (to, (sum, weight)) in into.iter_mut().zip(sums) {
+        if weight > 0.0 {
+            *to = sum.map(|s| s / weight);
+        }
+    }
+}
+
+/// Where to start: the gains of that group of patches (all, of one colour, facing one way) with which most patches
+/// agree. A glossy table may well be most of the scene; its patches still do not agree among themselves.
+fn agreed(patches: &[&Patch], keyframes: usize) -> Vec<[f64; 3]> {
+    let mut groups: Vec<Vec<&Patch>> = vec![patches.to_vec()];
+    groups.extend((0..6).map(|f| patches.iter().copied().filter(|p| p.facing == f).collect()));
+    groups.extend(color_groups(patches));
+    let none = vec![[0.0; 3]; keyframes];
+    let mut candidates: Vec<Vec<[f64; 3]>> = groups
+        .par_iter()
+        .filter(|g| !g.is_empty())
+        .map(|g| refine(patches, refine(g, none.clone(), false), false))
+        .collect();
+    // Exposures far apart are beyond what any tolerance reaches from nothing: plain least squares takes them all.
+    candidates.push(refine(patches, reweighted(patches, &none, EVERYTHING, false), false));
+    let scale = candidates.iter().map(|c| tolerance(patches, c)).fold(f64::INFINITY, f64::min);
+    let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
+    let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
+    candidates.into_iter().nth(best).unwrap_or_else(|| vec![[0.0; 3]; keyframes])
+}
+
+/// Patches of like chromaticity, about up to six far-apart seeds.
+fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
+    let chroma = |p: &Patch| Vec3::new(p.color.x - p.color.y, p.color.z - p.color.y, 0.0);
+    let Some(first) = patches.first() else { return Vec::new() };
+    let mut seeds = vec![chroma(first)];
+    let nearest = |p: &Patch, seeds: &[Vec3]| {
+        let distance = |s: &Vec3| chroma(p).distance(*s);
+        (0..seeds.len()).fold(0, |b, i| if distance(&seeds[i]) < distance(&seeds[b]) { i } else { b })
+    };
+    for _ in 1..6 {
+        let gap = |p: &Patch| chroma(p).distance(seeds[nearest(p, &seeds)]);
+        let far = patches.iter().fold(patches[0], |b, p| if gap(p) > gap(b) { p } else { b });
+        seeds.push(chroma(far));
+    }
+    let mut groups = vec![Vec::new(); seeds.len()];
+    for p in patches {
+        groups[nearest(p, &seeds)].push(*p);
+    }
+    groups
+}
+
+/// Mean square log deviation that counts as agreement.
+fn tolerance(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+    let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
+    if spreads.is_empty() {
+        return DIFFUSE_LOG * DIFFUSE_LOG;
+    }
+    let index = ((spreads.len() - 1) as f64 * BETTER_SHARE) as usize;
+    spreads.select_nth_unstable_by(index, f64::total_cmp).1.max(DIFFUSE_LOG * DIFFUSE_LOG)
+}
+
+/// Share of the patches' weight that the gains leave unexplained at a tolerance, 0 to 1.
+fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
+    let (mut sum, mut total) = (0.0, 0.0);
+    for p in patches {
+        let (spread, weight) = p.spread(&p.deviations(gains));
+        sum += weight * spread / (spread + tolerance);
+        total += weight;
+    }
+    sum / f64::max(total, 1e-12)
+}
+
+/// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
+fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 3]> {
+    for _ in 0..ROUNDS {
+        let next = reweighted(patches, &gains, tolerance(patches, &gains), rgb);
+        let moved = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        gains = next;
+        if moved < 1e-5 {
+            break;
+        }
+    }
+    gains
+}
+
+/// One round of it: weights from the deviations at `gains`.
+fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool) -> Vec<[f64; 3]> {
+    let n = gains.len();
+    let mut matrix = DMatrix::<f64>::zeros(n, n);
+    let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
+    for p in patches {
+        let deviations = p.deviations(gains);
+        // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
+        let (spread, _) = p.spread(&deviations);
+        let trust = tolerance / (tolerance + spread);
+        let weights: Vec<f64> = p
+            .weights
+            .iter()
+            .zip(&deviations)
+            .map(|(w, d)| {
+                let x = tolerance / (tolerance + mean_square(d));
+                w * trust * trust * x * x
+            })
+            .collect();
+        let total: f64 = weights.iter().sum::<f64>().max(1e-12);
+        let mean: [f64; 3] =
+            std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);
+        for (a, (wa, log)) in p.keyframes.iter().zip(weights.iter().zip(&p.logs)) {
+            let i = *a as usize;
+            matrix[(i, i)] += wa;
+            for ((r, l), m) in right.iter_mut().zip(log).zip(&mean) {
+                r[i] += wa * (l - m);
+            }
+            for (b, wb) in p.keyframes.iter().zip(&weights) {
+                matrix[(i, *b as usize)] -= wa * wb / total;
+            }
+        }
+    }
+    solve_centred(matrix, &right, rgb)
+}
+
+fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool) -> Vec<[f64; 3]> {
+    let n = matrix.nrows();
+    let mean_diagonal = matrix.trace() / n as f64;
+    // The common factor is free, and so is a keyframe without observations: both are held at their prior, 1.
+    matrix += DMatrix::from_element(n, n, mean_diagonal / n as f64);
+    matrix += DMatrix::identity(n, n) * (1e-6 * mean_diagonal + 1e-12);
+    let mut logs = vec![[0.0; 3]; n];
+    let Some(cholesky) = matrix.cholesky() else {
+        return logs;
+    };
+    let x = if rgb {
+        right.each_ref().map(|r| cholesky.solve(r))
+    } else {
+        let mean = cholesky.solve(&((&right[0] + &right[1] + &right[2]) / 3.0));
+        [mean.clone(), mean.clone(), mean]
+    };
+    logs.iter_mut().enumerate().for_each(|(j, l)| *l = x.each_ref().map(|x| x[j]));
+    let mean = logs.iter().flatten().sum::<f64>() / (3 * n) as f64;
+    logs.iter_mut().flatten().for_each(|l| *l -= mean);
+    logs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe
+    /// to keyframe, the same over all of it but for a gentle tilt. The rest is matte and noisy.
+    fn field(gains: &[f64]) -> (LightField, Mesh) {
+        let mut observations = Vec::new();
+        let mut offsets = vec![0];
+        let mut mesh = Mesh::default();
+        let mut state = 1_u32;
+        for i in 0..6400_u32 {
+            let (x, y) = (i % 80, i / 80);
+            mesh.positions.push(Vec3::new(x as f32, y as f32, 0.0));
+            mesh.normals.push(Vec3::Z);
+            for (j, g) in gains.iter().enumerate() {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let noise = (f64::from(state >> 8) / f64::from(1 << 24) - 0.5) * 0.2;
+                let bump = j as f64 - 3.0 - 0.05 * f64::from(y);
+                let gloss = if x < 56 { 0.4 / (1.0 + bump * bump) } else { 0.0 };
+                let base = if x < 56 { [0.1, 0.2, 0.15] } else { [0.3, 0.28, 0.25] };
+                let color = base.map(|b| (b * g * (1.0 + gloss + noise)) as f32);
+                observations.push(Observation { vertex: i, keyframe: j as u16, color, weight: 0.5 });
+            }
+            offsets.push(observations.len() as u32);
+        }
+        (LightField { observations, offsets }, mesh)
+    }
+
+    fn worst_error(found: &[[f64; 3]], gains: &[f64]) -> f64 {
+        let mean = gains.iter().map(|g| libm::log(*g)).sum::<f64>() / gains.len() as f64;
+        let error = |(f, g): (&[f64; 3], &f64)| (libm::log(f[1]) - libm::log(*g) + mean).abs();
+        found.iter().zip(gains).map(error).fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn a_glossy_majority_does_not_set_the_gains() {
+        let gains = [1.0, 1.2, 1.5, 0.7, 0.8, 1.1, 0.9, 1.0];
+        let (field, mesh) = field(&gains);
+        for choice in [ExposureChoice::Auto, ExposureChoice::Scalar] {
+            let (found, _) = solve(&field, &mesh, 1.0, gains.len(), choice, 0.004);
+            assert!(worst_error(&found, &gains) < 0.01, "{choice:?}: {}", worst_error(&found, &gains));
+        }
+        let (found, _) = solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::None, 0.004);
+        assert_eq!(found, vec![[1.0; 3]; gains.len()]);
+    }
+
+    #[test]
+    fn gains_have_geometric_mean_one_and_one_thread_gives_the_same() {
+        let gains = [10.0, 0.001, 3.0, 0.5];
+        let (field, mesh) = field(&gains);
+        let run = || solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::Rgb, 0.0).0;
+        let sum: f64 = run().iter().flatten().map(|g| libm::log(*g)).sum();
+        assert!(sum.abs() < 1e-9, "{sum}");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        assert_eq!(pool.install(run), run());
+    }
+}

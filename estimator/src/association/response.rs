@@ -1,0 +1,207 @@
+//! Whether the camera's response is the one that the settings state. Two pictures of one thing at two exposures tell: their
+//! linear light differs by one factor, however bright the thing is. Every power of the right response passes that test
+//! alike (Grossberg and Nayar, "Modeling the space of camera response functions", 2004), so a power law is told from sRGB,
+//! but not from another power law.
+
+use crate::association::Association;
+use crate::numerics::robust::median;
+use recordings::result::Decision;
+use recordings::types::Response;
+use std::collections::BTreeMap;
+
+/// Least ratio of exposures that tells anything.
+const LEAST_RATIO: f64 = 1.5;
+/// Observations that two keyframes must share.
+const LEAST_SHARED: usize = 200;
+/// Parts, from dark to bright, in which the factor is measured.
+const LEVELS: usize = 6;
+/// Values outside are too dark or nearly clipped.
+const VALUES: std::ops::Range<f64> = 0.06..0.95;
+/// Change of the factor from dark to bright that may be chance.
+const TOLERATED: f64 = 0.03;
+/// A response fits better if its factor changes less by this.
+const CLEARLY: f64 = 2.0;
+
+/// The decision for the result, and a warning where another response fits better.
+pub fn verify(association: &Association, response: &Response) -> (Decision, Option<String>) {
+    let shared = shared(association, response);
+    let stated = text(response);
+    let points: usize = shared.values().map(Vec::len).sum();
+    let decision = |choice: &str, evidence: String| Decision {
+        name: "response".into(),
+        choice: choice.into(),
+        evidence,
+        cost: format!("{points} values compared"),
+        next_level: "a response that is measured with a grey card".into(),
+    };
+    if shared.is_empty() {
+        let evidence = format!("not verified: no two keyframes share {LEAST_SHARED} points at exposures 1.5 × apart");
+        return (decision(&stated, evidence), None);
+    }
+    // All powers pass alike, so one stands for them.
+    let (other, name) = if *response == Response::Srgb {
+        (Response::Gamma(2.2), "linear or gamma:2.2")
+    } else {
+        (Response::Srgb, "srgb")
+    };
+    let (own, theirs) = (change(&shared, response), change(&shared, &other));
+    let evidence = format!(
+        "{points} values seen at exposures 1.5 × apart or more: the factor between them changes by {:.1} % from dark to \
+         bright with {stated}, by {:.1} % with {name}",
+        100.0 * own,
+        100.0 * theirs
+    );
+    if own <= TOLERATED || own < CLEARLY * theirs {
+        return (decision(&stated, evidence), None);
+    }
+    let warning = format!("the colour response {stated} does not fit the pictures; {name} does: set camera.response");
+    (decision(&stated, evidence), Some(warning))
+}
+
+fn text(response: &Response) -> String {
+    match response {
+        Response::Srgb => "srgb".into(),
+        Response::Linear => "linear".into(),
+        Response::Gamma(gamma) => format!("gamma:{gamma}"),
+    }
+}
+
+/// Two keyframes and a channel → values (0..1) of the same points in both.
+type Shared = BTreeMap<(u16, u16, usize), Vec<[f64; 2]>>;
+
+/// Of each vertex, the observation with the least and with the greatest gain.
+fn shared(association: &Association, response: &Response) -> Shared {
+    let gain = |k: u16| association.views[usize::from(k)].gain;
+    let mean_gain = |k: u16| gain(k).iter().product::<f64>();
+    let mut shared = Shared::new();
+    for row in association.offsets.windows(2) {
+        let seen = &association.observations[row[0] as usize..row[1] as usize];
+        let by_gain = |a: &&_, b: &&_| {
+            let g = |o: &crate::association::Observation| mean_gain(o.keyframe);
+            g(a).total_cmp(&g(b))
+        };
+        let (Some(low), Some(high)) = (seen.iter().min_by(by_gain), seen.iter().max_by(by_gain)) else { continue };
+        let (g_low, g_high) = (gain(low.keyframe), gain(high.keyframe));
+        if libm::cbrt(mean_gain(high.keyframe) / mean_gain(low.keyframe)) < LEAST_RATIO {
+            continue;
+        }
+        for c in 0..3 {
+            let value = |color: f32, gain: f64| value(response, f64::from(color) * gain);
+            let pair = [value(low.color[c], g_low[c]), value(high.color[c], g_high[c])];
+            if pair.iter().all(|v| VALUES.contains(v)) {
+                shared.entry((low.keyframe, high.keyframe, c)).or_default().push(pair);
+            }
+        }
+    }
+    shared.retain(|_, pairs| pairs.len() >= LEAST_SHARED);
+    shared
+}
+
+/// RMS change of the logarithmic factor between the two pictures over the levels, relative to it.
+fn change(shared: &Shared, response: &Response) -> f64 {
+    let (mut sum, mut count) = (0.0, 0u32);
+    for pairs in shared.values() {
+        let mut by_level: Vec<[f64; 2]> =
+            pairs.iter().map(|[a, b]| [a + b, libm::log(light(response, *b) / light(response, *a))]).collect();
+        by_level.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        let whole = median(by_level.iter().map(|p| p[1]).collect());
+        for level in by_level.chunks(by_level.len().div_ceil(LEVELS)) {
+            let d = median(level.iter().map(|p| p[1]).collect()) / whole - 1.0;
+            if d.is_finite() {
+                sum += d * d;
+                count += 1;
+            }
+        }
+    }
+    (sum / f64::from(count.max(1))).sqrt()
+}
+
+/// Linear light of a value.
+fn light(response: &Response, v: f64) -> f64 {
+    match *response {
+        Response::Srgb if v <= 0.04045 => v / 12.92,
+        Response::Srgb => libm::pow((v + 0.055) / 1.055, 2.4),
+        Response::Linear => v,
+        Response::Gamma(gamma) => libm::pow(v, gamma),
+    }
+}
+
+/// Its inverse.
+fn value(response: &Response, light: f64) -> f64 {
+    let light = light.max(0.0);
+    match *response {
+        Response::Srgb if light <= 0.003_130_8 => light * 12.92,
+        Response::Srgb => 1.055 * libm::pow(light, 1.0 / 2.4) - 0.055,
+        Response::Linear => light,
+        Response::Gamma(gamma) => libm::pow(light, 1.0 / gamma),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::association::{Observation, View};
+    use glam::Vec3;
+    use recordings::types::Pose;
+
+    /// A thing of many shades, photographed by a camera with response `real` at two exposures `ratio` apart, and
+    /// associated with response `stated`.
+    fn association(real: Response, stated: Response, ratio: f64) -> Association {
+        let n = 4000;
+        let mut observations = Vec::new();
+        let gain = |c: usize| {
+            // What Eq. (5) finds: a median of ratios.
+            let shades = (0..n).map(|i| (i as f64 + 0.5) / f64::from(n));
+            let l = |x: f64| light(&stated, value(&real, x));
+            let ratios = shades.map(|s| l(0.5 * s) / l(0.5 * s / ratio));
+            median(ratios.collect()) * [1.0, 1.02, 0.97][c]
+        };
+        let gains = [[1.0; 3], [gain(0), gain(1), gain(2)]];
+        for i in 0..n {
+            let shade = (f64::from(i) + 0.5) / f64::from(n);
+            for (k, exposure) in [0.5 / ratio, 0.5].into_iter().enumerate() {
+                let color = [0, 1, 2].map(|c| {
+                    let white = if k == 0 { 1.0 } else { [1.0, 1.02, 0.97][c] };
+                    let noise = 0.004 * (f64::from((i * 37 + c as i32 * 11 + k as i32 * 5) % 17) / 8.0 - 1.0);
+                    (light(&stated, value(&real, shade * exposure * white) + noise) / gains[k][c]) as f32
+                });
+                observations.push(Observation { vertex: i as u32, keyframe: k as u16, color, weight: 1.0 });
+            }
+        }
+        let view = |gain| View { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };
+        Association {
+            lit_color: vec![Vec3::ONE; n as usize],
+            lit_weight: vec![1.0; n as usize],
+            views: gains.map(view).to_vec(),
+            observations,
+            offsets: (0..=n as u32).map(|i| 2 * i).collect(),
+            decisions: Vec::new(),
+            dark_below: 0.004,
+        }
+    }
+
+    #[test]
+    fn a_right_response_is_confirmed_and_a_wrong_one_told() {
+        let (linear, gamma) = (Response::Linear, Response::Gamma(2.2));
+        for (real, stated, fits) in [
+            (Response::Srgb, Response::Srgb, true),
+            (linear, linear, true),
+            (gamma, gamma, true),
+            // Powers of each other.
+            (linear, gamma, true),
+            (linear, Response::Srgb, false),
+            (gamma, Response::Srgb, false),
+            (Response::Srgb, gamma, false),
+            (Response::Srgb, linear, false),
+        ] {
+            let (decision, warning) = verify(&association(real, stated, 4.0), &stated);
+            assert_eq!(warning.is_none(), fits, "{real:?} as {stated:?}: {decision:?} {warning:?}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not_claimed() {
+        let (decision, warning) = verify(&association(Response::Srgb, Response::Srgb, 1.3), &Response::Srgb);
+        assert!(warning.is_none() && decision.evidence.contains("not verified"), "{decision:?}");
+    }
+}

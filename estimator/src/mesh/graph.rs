@@ -1,0 +1,103 @@
+//! The mesh as a graph: which vertices share an edge.
+
+use recordings::types::Mesh;
+
+/// Vertex neighbours in compressed rows, ascending within a row.
+pub struct Graph {
+    /// Row starts, one more than there are vertices.
+    pub offsets: Vec<u32>,
+    /// Neighbours.
+    pub targets: Vec<u32>,
+}
+
+impl Graph {
+    /// Edges of all triangles, each once.
+    pub fn new(mesh: &Mesh) -> Self {
+        let n = mesh.positions.len();
+        let mut offsets = vec![0_u32; n + 1];
+        let directed = |visit: &mut dyn FnMut(u32, u32)| {
+            for &[a, b, c] in &mesh.triangles {
+                for (p, q) in [(a, b), (b, c), (c, a)] {
+                    if p != q {
+                        visit(p, q);
+                        visit(q, p);
+                    }
+                }
+            }
+        };
+        directed(&mut |p, _| offsets[p as usize + 1] += 1);
+        for i in 0..n {
+            offsets[i + 1] += offsets[i];
+        }
+        let mut cursor = offsets.clone();
+        let mut targets = vec![0_u32; offsets[n] as usize];
+        directed(&mut |p, q| {
+            targets[cursor[p as usize] as usize] = q;
+            cursor[p as usize] += 1;
+        });
+        // An inner edge stands twice in both its rows: sort and keep one.
+        let mut kept = 0;
+        let mut start = 0;
+        for i in 0..n {
+            let end = offsets[i + 1] as usize;
+            targets[start..end].sort_unstable();
+            let first = kept;
+            for k in start..end {
+                if kept == first || targets[kept - 1] != targets[k] {
+                    targets[kept] = targets[k];
+                    kept += 1;
+                }
+            }
+            start = end;
+            offsets[i + 1] = kept as u32;
+        }
+        targets.truncate(kept);
+        Self { offsets, targets }
+    }
+
+    /// Neighbours of vertex `i`.
+    pub fn neighbours(&self, i: usize) -> &[u32] {
+        &self.targets[self.offsets[i] as usize..self.offsets[i + 1] as usize]
+    }
+
+    /// Edges from vertex `i`: index into `targets`, neighbour.
+    pub fn edges(&self, i: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        (self.offsets[i] as usize..self.offsets[i + 1] as usize).map(|e| (e, self.targets[e] as usize))
+    }
+
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.offsets.len() - 1
+    }
+}
+
+/// Mean edge length at every vertex; `fallback` where it has no edge.
+pub fn vertex_spacing(mesh: &Mesh, graph: &Graph, fallback: f32) -> Vec<f32> {
+    (0..graph.vertices())
+        .map(|i| {
+            let row = graph.neighbours(i);
+            let sum: f32 = row.iter().map(|&j| mesh.positions[i].distance(mesh.positions[j as usize])).sum();
+            let mean = sum / row.len() as f32;
+            if mean.is_finite() && mean > 0.0 { mean } else { fallback }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    #[test]
+    fn every_edge_once_in_both_directions() {
+        let mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::ONE, Vec3::Z],
+            normals: vec![],
+            triangles: vec![[0, 1, 2], [2, 1, 3], [0, 0, 1]],
+        };
+        let graph = Graph::new(&mesh);
+        let rows: Vec<&[u32]> = (0..5).map(|i| graph.neighbours(i)).collect();
+        assert_eq!(rows, [&[1, 2][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[]]);
+        assert_eq!(vertex_spacing(&mesh, &graph, 7.0)[4], 7.0);
+    }
+}

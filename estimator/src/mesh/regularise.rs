@@ -1,0 +1,417 @@
+//! Mesh regularisation: what the estimator works on has unit normals, no degenerate triangles and, where it was fused
+//! from depth, edges of about one length.
+
+use crate::mesh::surface::Surface;
+use crate::rays::{Hit, Scene};
+use firmware_config::EstimatorConfig;
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+use recordings::scan::ScanSource;
+use recordings::types::Mesh;
+
+/// Rounds of split, collapse, flip and smoothing.
+const ROUNDS: usize = 3;
+/// Vertices are as many as asked for to this share.
+const COUNT_TOLERANCE: f64 = 0.02;
+/// Longest and shortest edge as multiples of the target (Botsch and Kobbelt).
+const LONGEST: f32 = 4.0 / 3.0;
+const SHORTEST: f32 = 0.8;
+/// The same where vertices are still too many.
+const TO_COUNT: f32 = 1.5;
+/// Vertices nearer than this many median edges are one.
+const WELD: f32 = 1e-3;
+/// A mesh with a smaller share of edges outside [0.5, 1.5] of the target is regular already.
+const IRREGULAR_SHARE: f32 = 0.02;
+/// A mesh of more than so many times the vertices that are asked for is clustered first, in far less time and memory, ...
+const FAR_FINER: f64 = 6.0;
+/// ... to so many times the vertices: clusters may tear a closed surface, so that the rest is done edge by edge.
+const CLUSTERED: f64 = 2.0;
+/// The mesh grows to at most this many times its vertices.
+const GROWTH: usize = 4;
+
+/// Prepares a scan's mesh. A fused mesh is welded, loses its specks and gets edges of `config.regularise` median edges,
+/// or longer ones where its area would need more than about `config.max_vertices` vertices.
+/// An imported mesh is taken as it is, vertex by vertex, unless `config.regularise` is something else than 1: only
+/// unusable triangles go and missing normals are made. A mesh that is regular already keeps its vertices too.
+#[must_use]
+pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> Mesh {
+    let as_it_is = match source {
+        ScanSource::Photos => config.regularise == 0.0 || config.regularise == 1.0,
+        ScanSource::Fusion => config.regularise == 0.0,
+    };
+    if as_it_is {
+        return repaired(mesh);
+    }
+    let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
+    let affordable = edge_for(area(&clean), config.max_vertices);
+    let target = (config.regularise as f32 * median(edge_lengths(&clean))).max(affordable);
+    let wanted = vertices_for(area(&clean), target);
+    let clean = if clean.positions.len() as f64 > FAR_FINER * wanted {
+        coarsened(&clean, (CLUSTERED * wanted) as usize)
+    } else {
+        clean
+    };
+    if clean.triangles.is_empty() || !(target > 0.0 && target.is_finite()) {
+        return repaired(mesh);
+    }
+    let outside = |l: &f32| !(0.5 * target..=1.5 * target).contains(l);
+    let lengths = edge_lengths(&clean);
+    if (lengths.iter().filter(|l| outside(l)).count() as f32) < IRREGULAR_SHARE * lengths.len() as f32 {
+        return clean;
+    }
+    remesh(&clean, target)
+}
+
+/// A mesh of about `vertices` vertices instead of more, where time is short: vertices of one cell of a grid that face the
+/// same way become one.
+#[must_use]
+pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
+    let fine = repaired(mesh);
+    let cell = edge_for(area(&fine), vertices.min(u32::MAX as usize) as u32);
+    if vertices >= fine.positions.len() || fine.triangles.is_empty() || !(cell > 0.0 && cell.is_finite()) {
+        return fine;
+    }
+    let origin = fine.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    let key = |i: usize| {
+        let (p, n) = (((fine.positions[i] - origin) / cell).floor().as_ivec3(), fine.normals[i]);
+        let a = n.abs();
+        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
+        (p.to_array(), 2 * axis + usize::from(n[axis] < 0.0), i)
+    };
+    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..fine.positions.len()).into_par_iter().map(key).collect();
+    keyed.par_sort_unstable();
+    let mut cluster = vec![0u32; fine.positions.len()];
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    for group in keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
+        let sum = |of: &[Vec3]| group.iter().map(|k| of[k.2]).sum::<Vec3>();
+        group.iter().for_each(|k| cluster[k.2] = positions.len() as u32);
+        positions.push(sum(&fine.positions) / group.len() as f32);
+        normals.push(sum(&fine.normals).normalize_or(fine.normals[group[0].2]));
+    }
+    let triangles = fine.triangles.iter().map(|t| t.map(|i| cluster[i as usize])).collect();
+    let raw = Mesh { positions, normals, triangles };
+    let triangles = usable_triangles(&raw);
+    compacted(&raw, triangles)
+}
+
+fn remesh(mesh: &Mesh, target: f32) -> Mesh {
+    let scene = Scene::new(mesh);
+    let limit = GROWTH * mesh.positions.len() + 1000;
+    let wanted = vertices_for(area(mesh), target).min(limit as f64);
+    let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
+    for _ in 0..ROUNDS {
+        surface.split_long(LONGEST * target, limit);
+        surface.collapse_short(SHORTEST * target, LONGEST * target);
+        // Edges of any length between the two stay, so that their mean hangs on where they began.
+        surface.collapse_to(((1.0 + COUNT_TOLERANCE) * wanted) as usize, TO_COUNT * target);
+        surface.split_to(((1.0 - COUNT_TOLERANCE) * wanted) as usize);
+        surface.flip_edges();
+        let relaxed = surface.relaxed(0.5);
+        let normals = surface.normals();
+        surface.positions = relaxed
+            .par_iter()
+            .zip(&normals)
+            .zip(&surface.positions)
+            .map(|((p, n), old)| project(mesh, &scene, *p, *n, target).map_or(*old, |hit| hit.0))
+            .collect();
+    }
+    surface.flip_edges();
+    let own = surface.normals();
+    let normals = surface
+        .positions
+        .par_iter()
+        .zip(&own)
+        .map(|(p, n)| {
+            let Some((_, hit)) = project(mesh, &scene, *p, *n, target) else { return *n };
+            let [a, b, c] = mesh.triangles[hit.triangle as usize].map(|i| mesh.normals[i as usize]);
+            let input = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+            if input.dot(*n) > 0.5 { input.normalize() } else { *n }
+        })
+        .collect::<Vec<Vec3>>();
+    let triangles = surface.triangles();
+    let raw = Mesh { positions: surface.positions, normals, triangles };
+    let triangles = usable_triangles(&raw);
+    compacted(&raw, triangles)
+}
+
+/// Edge with which `vertices` vertices cover an area: an equilateral triangulation has √3/2 edge² a vertex.
+fn edge_for(area: f64, vertices: u32) -> f32 {
+    (area / (0.75f64.sqrt() * f64::from(vertices))).sqrt() as f32
+}
+
+/// The reverse.
+fn vertices_for(area: f64, edge: f32) -> f64 {
+    area / (0.75f64.sqrt() * f64::from(edge).powi(2))
+}
+
+fn area(mesh: &Mesh) -> f64 {
+    let corners = |t: &[u32; 3]| t.map(|i| mesh.positions[i as usize]);
+    mesh.triangles.iter().map(corners).map(|[a, b, c]| 0.5 * f64::from((b - a).cross(c - a).length())).sum()
+}
+
+/// The input surface along the normal, at most half a target edge away and facing the same way.
+fn project(mesh: &Mesh, scene: &Scene, p: Vec3, normal: Vec3, target: f32) -> Option<(Vec3, Hit)> {
+    if normal == Vec3::ZERO {
+        return None;
+    }
+    let reach = 0.5 * target;
+    let hit = scene.closest_hit(p + normal * reach, -normal).filter(|h| h.distance <= 2.0 * reach)?;
+    let [a, b, c] = mesh.triangles[hit.triangle as usize].map(|i| mesh.positions[i as usize]);
+    let same_side = (b - a).cross(c - a).normalize_or_zero().dot(normal) > 0.3;
+    same_side.then(|| (p + normal * (reach - hit.distance), hit))
+}
+
+/// The same vertices with finite positions and unit normals, and only triangles that are usable.
+fn repaired(mesh: &Mesh) -> Mesh {
+    let triangles = usable_triangles(mesh);
+    let made = area_normals(&mesh.positions, &triangles);
+    let normals = (0..mesh.positions.len())
+        .map(|i| match mesh.normals.get(i) {
+            Some(n) if n.is_finite() && n.length_squared() > 1e-6 => n.normalize(),
+            _ => made[i],
+        })
+        .collect();
+    let positions = mesh.positions.iter().map(|p| if p.is_finite() { *p } else { Vec3::ZERO }).collect();
+    Mesh { positions, normals, triangles }
+}
+
+/// Triangles with three different, finite corners and an area, each set of corners once.
+fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
+    let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|p| p.is_finite());
+    let usable = |t: &[u32; 3]| match (corner(t[0]), corner(t[1]), corner(t[2])) {
+        (Some(a), Some(b), Some(c)) => (b - a).cross(c - a).length_squared() > 0.0,
+        _ => false,
+    };
+    let mut keyed: Vec<([u32; 3], usize)> = mesh
+        .triangles
+        .iter()
+        .enumerate()
+        .filter(|(_, t)| usable(t))
+        .map(|(index, t)| {
+            let mut key = *t;
+            key.sort_unstable();
+            (key, index)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.dedup_by_key(|k| k.0);
+    let mut kept: Vec<usize> = keyed.into_iter().map(|k| k.1).collect();
+    kept.sort_unstable();
+    kept.into_iter().map(|i| mesh.triangles[i]).collect()
+}
+
+/// Unit vertex normals, triangles weighed by area; +Z where there is none.
+fn area_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut sums = vec![Vec3::ZERO; positions.len()];
+    for t in triangles {
+        let [a, b, c] = t.map(|i| positions[i as usize]);
+        let n = (b - a).cross(c - a);
+        for &i in t {
+            sums[i as usize] += n;
+        }
+    }
+    sums.into_iter().map(|n| n.try_normalize().unwrap_or(Vec3::Z)).collect()
+}
+
+/// Vertices that coincide become one; vertices without a triangle go.
+fn welded(mesh: &Mesh) -> Mesh {
+    let cell = WELD * median(edge_lengths(mesh));
+    if !(cell > 0.0 && cell.is_finite()) {
+        return mesh.clone();
+    }
+    let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+    // Saturating casts: coordinates beyond 2³¹ cells fall together only with their like.
+    let mut keyed: Vec<([i32; 3], u32)> = (0u32..)
+        .zip(&mesh.positions)
+        .map(|(i, p)| (((*p - origin) / cell).round().as_ivec3().min(IVec3::MAX).to_array(), i))
+        .collect();
+    keyed.par_sort_unstable();
+    let mut names = vec![0_u32; mesh.positions.len()];
+    let mut first = 0;
+    for (k, (key, i)) in keyed.iter().enumerate() {
+        if key != &keyed[first].0 {
+            first = k;
+        }
+        names[*i as usize] = keyed[first].1;
+    }
+    let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|i| names[i as usize])).collect();
+    let triangles = usable_triangles(&Mesh { positions: mesh.positions.clone(), normals: vec![], triangles });
+    compacted(mesh, triangles)
+}
+
+/// Components of fewer vertices than `share` of the largest's are noise of the depth camera.
+fn without_specks(mesh: &Mesh, share: f64) -> Mesh {
+    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    fn root(parent: &mut [u32], mut i: u32) -> u32 {
+        while parent[i as usize] != i {
+            parent[i as usize] = parent[parent[i as usize] as usize];
+            i = parent[i as usize];
+        }
+        i
+    }
+    for t in &mesh.triangles {
+        for &other in &t[1..] {
+            let (a, b) = (root(&mut parent, t[0]), root(&mut parent, other));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    let roots: Vec<u32> = (0..mesh.positions.len() as u32).map(|i| root(&mut parent, i)).collect();
+    let mut sizes = vec![0_u32; mesh.positions.len()];
+    roots.iter().for_each(|&r| sizes[r as usize] += 1);
+    let least = share * f64::from(sizes.iter().copied().max().unwrap_or(0));
+    let big = |t: &&[u32; 3]| f64::from(sizes[roots[t[0] as usize] as usize]) >= least;
+    compacted(mesh, mesh.triangles.iter().filter(big).copied().collect())
+}
+
+/// The mesh of these triangles, without vertices that none of them uses.
+fn compacted(mesh: &Mesh, mut triangles: Vec<[u32; 3]>) -> Mesh {
+    let mut used = vec![false; mesh.positions.len()];
+    triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
+    let mut names = vec![0_u32; used.len()];
+    let (mut positions, mut normals) = (Vec::new(), Vec::new());
+    for i in (0..used.len()).filter(|&i| used[i]) {
+        names[i] = positions.len() as u32;
+        positions.push(mesh.positions[i]);
+        normals.push(mesh.normals[i]);
+    }
+    triangles.iter_mut().flatten().for_each(|i| *i = names[*i as usize]);
+    Mesh { positions, normals, triangles }
+}
+
+fn edge_lengths(mesh: &Mesh) -> Vec<f32> {
+    let length = |a: u32, b: u32| mesh.positions[a as usize].distance(mesh.positions[b as usize]);
+    mesh.triangles.iter().flat_map(|t| [length(t[0], t[1]), length(t[1], t[2]), length(t[2], t[0])]).collect()
+}
+
+fn median(mut values: Vec<f32>) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A unit sphere by latitude and longitude: slivers at the poles, all edges of different lengths.
+    fn globe(rings: u32, sectors: u32) -> Mesh {
+        let mut positions = vec![Vec3::Z, Vec3::NEG_Z];
+        for r in 1..rings {
+            let (s, c) = libm::sincosf(std::f32::consts::PI * r as f32 / rings as f32);
+            for k in 0..sectors {
+                let (sa, ca) = libm::sincosf(std::f32::consts::TAU * k as f32 / sectors as f32);
+                positions.push(Vec3::new(s * ca, s * sa, c));
+            }
+        }
+        let at = |r: u32, k: u32| 2 + (r - 1) * sectors + k % sectors;
+        let mut triangles = Vec::new();
+        for k in 0..sectors {
+            triangles.push([0, at(1, k), at(1, k + 1)]);
+            triangles.push([1, at(rings - 1, k + 1), at(rings - 1, k)]);
+            for r in 1..rings - 1 {
+                triangles.push([at(r, k), at(r + 1, k), at(r + 1, k + 1)]);
+                triangles.push([at(r, k), at(r + 1, k + 1), at(r, k + 1)]);
+            }
+        }
+        Mesh { normals: positions.clone(), positions, triangles }
+    }
+
+    /// Vertices − edges + triangles, and the number of edges that have not two triangles.
+    fn topology(mesh: &Mesh) -> (i64, usize) {
+        let mut edges = std::collections::BTreeMap::new();
+        for t in &mesh.triangles {
+            for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
+                *edges.entry((a.min(b), a.max(b))).or_insert(0) += 1;
+            }
+        }
+        let euler = mesh.positions.len() as i64 - edges.len() as i64 + mesh.triangles.len() as i64;
+        (euler, edges.values().filter(|n| **n != 2).count())
+    }
+
+    #[test]
+    fn slivers_go_and_the_surface_stays() {
+        let globe = globe(60, 160);
+        let mesh = regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(topology(&mesh), (2, 0), "a closed sphere stays one");
+        let target = median(edge_lengths(&globe));
+        let mut lengths = edge_lengths(&mesh);
+        lengths.sort_by(f32::total_cmp);
+        let (low, high) = (lengths[lengths.len() / 50], lengths[lengths.len() - lengths.len() / 50]);
+        assert!(low > 0.6 * target && high < 1.5 * target, "{low} … {high} around {target}");
+        for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+            assert!((p.length() - 1.0).abs() < 2e-3, "off the sphere by {}", p.length() - 1.0);
+            assert!(n.dot(p.normalize()) > 0.99);
+        }
+        assert_eq!(mesh, regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion));
+    }
+
+    #[test]
+    fn no_more_vertices_than_the_estimator_can_hold() {
+        let config = EstimatorConfig { max_vertices: 2000, ..Default::default() };
+        let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
+        assert_eq!(topology(&mesh), (2, 0));
+        let vertices = mesh.positions.len();
+        assert!((1900..=2100).contains(&vertices), "{vertices} vertices for about 2000");
+        assert!(mesh.positions.iter().all(|p| (p.length() - 1.0).abs() < 5e-3));
+    }
+
+    /// Halving edges leads from some lengths to too many vertices and from others to too few.
+    #[test]
+    fn as_many_vertices_as_asked_for() {
+        for asked in [2500, 4000, 6000, 10_000, 16_000, 25_000] {
+            let config = EstimatorConfig { max_vertices: asked, regularise: 0.1, ..Default::default() };
+            let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
+            assert_eq!(topology(&mesh), (2, 0));
+            let off = mesh.positions.len() as f64 / f64::from(asked) - 1.0;
+            assert!(off.abs() < 0.05, "{} vertices for {asked}", mesh.positions.len());
+            let target = edge_for(area(&mesh), asked);
+            let mut lengths = edge_lengths(&mesh);
+            lengths.sort_by(f32::total_cmp);
+            let (low, high) = (lengths[lengths.len() / 50], lengths[lengths.len() - lengths.len() / 50]);
+            assert!(low > 0.5 * target && high < 1.5 * target, "{low} … {high} around {target}");
+        }
+    }
+
+    #[test]
+    fn coarsened_in_a_hurry() {
+        let fine = globe(100, 200);
+        let coarse = coarsened(&fine, 2000);
+        let n = coarse.positions.len();
+        assert!((1000..4000).contains(&n), "{n} vertices");
+        assert!(coarse.positions.iter().all(|p| (p.length() / fine.positions[500].length() - 1.0).abs() < 0.02));
+        assert!(coarse.positions.iter().zip(&coarse.normals).all(|(p, n)| n.dot(p.normalize()) > 0.9));
+    }
+
+    #[test]
+    fn imported_and_regular_meshes_keep_their_vertices() {
+        let mut imported = globe(20, 40);
+        imported.triangles.push([3, 3, 4]);
+        let kept = regularise(&imported, &EstimatorConfig::default(), ScanSource::Photos);
+        assert_eq!(kept.positions, imported.positions);
+        assert_eq!(kept.triangles.len(), imported.triangles.len() - 1);
+        let regular = regularise(&globe(60, 160), &EstimatorConfig::default(), ScanSource::Fusion);
+        let again = regularise(&regular, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(again.positions, regular.positions);
+    }
+
+    #[test]
+    fn specks_go_and_seams_are_welded() {
+        let mut mesh = globe(60, 160);
+        let n = mesh.positions.len() as u32;
+        // A speck, and a copy of the sphere's first cap on vertices of its own.
+        mesh.positions.extend([Vec3::splat(3.0), Vec3::splat(3.1), Vec3::new(3.0, 3.1, 3.0)]);
+        mesh.normals.extend([Vec3::Z; 3]);
+        mesh.triangles.push([n, n + 1, n + 2]);
+        let corners = mesh.triangles[0];
+        for c in corners {
+            mesh.positions.push(mesh.positions[c as usize]);
+            mesh.normals.push(mesh.normals[c as usize]);
+        }
+        mesh.triangles[0] = [n + 3, n + 4, n + 5];
+        let out = regularise(&mesh, &EstimatorConfig::default(), ScanSource::Fusion);
+        assert_eq!(topology(&out), (2, 0));
+        assert!(out.positions.iter().all(|p| p.length() < 1.1));
+    }
+}

@@ -1,0 +1,318 @@
+//! The scene before and after a change, as light sees it: what stays, what goes, what comes, and the light around.
+
+use crate::numerics::random::hash;
+use crate::rays::{Hit, Scene};
+use crate::render::lighting::environment::Environment;
+use crate::render::objects::{Look, Object, interpolate};
+use crate::render::sampling::{Cone, cosine, cosine_density, ggx_normal, point, smith};
+use glam::Vec3;
+use std::f32::consts::PI;
+
+/// Mirrors that a ray follows one after the other.
+const MOST_REFLECTIONS: u32 = 4;
+
+/// Before the change or after it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Side {
+    /// As scanned.
+    Before,
+    /// With things removed and inserted.
+    After,
+}
+
+/// A surface, its hierarchy, and the diffuse light that leaves its vertices.
+#[derive(Debug)]
+pub struct Body {
+    /// Surface and look.
+    pub object: Object,
+    /// What rays hit.
+    pub bvh: Scene,
+    /// Diffuse radiance per vertex before the change (of inserted things: after it).
+    pub radiance: Vec<Vec3>,
+    /// Diffuse radiance per vertex after the change.
+    pub after: Vec<Vec3>,
+}
+
+/// A point on a body, seen from one side.
+#[derive(Debug, Clone, Copy)]
+pub struct Spot {
+    /// Position, lifted off the surface so that rays leave it.
+    pub origin: Vec3,
+    /// Unit shading normal, towards the side it was seen from.
+    pub normal: Vec3,
+}
+
+impl Body {
+    /// A body whose vertices give off `radiance`.
+    #[must_use]
+    pub fn new(object: Object, radiance: Vec<Vec3>) -> Self {
+        let bvh = Scene::new(&object.mesh);
+        Self { bvh, after: radiance.clone(), radiance, object }
+    }
+
+    /// The point that a ray along `direction` from `origin` hits.
+    #[must_use]
+    pub fn spot(&self, origin: Vec3, direction: Vec3, hit: &Hit) -> Spot {
+        let t = self.object.mesh.triangles[hit.triangle as usize];
+        let corner = t.map(|i| self.object.mesh.positions[i as usize]);
+        let flat = (corner[1] - corner[0]).cross(corner[2] - corner[0]).normalize_or(Vec3::Z);
+        let towards = |n: Vec3| if n.dot(direction) > 0.0 { -n } else { n };
+        let flat = towards(flat);
+        let smooth = interpolate(&self.object.mesh.normals, t, hit).normalize_or(flat);
+        let smooth = if smooth.dot(flat) < 0.0 { -smooth } else { smooth };
+        Spot { origin: self.bvh.offset_origin(origin + direction * hit.distance, flat), normal: smooth }
+    }
+
+    /// The point at a vertex, on the side of its normal.
+    #[must_use]
+    pub fn vertex_spot(&self, vertex: usize) -> Spot {
+        let normal = self.object.mesh.normals[vertex];
+        Spot { origin: self.bvh.offset_origin(self.object.mesh.positions[vertex], normal), normal }
+    }
+}
+
+/// A ball around something that changed.
+#[derive(Debug, Clone, Copy)]
+pub struct Ball {
+    /// Its middle.
+    pub center: Vec3,
+    /// Its radius in metres.
+    pub radius: f32,
+}
+
+impl Ball {
+    /// Around the middle of the bounding box of some points.
+    #[must_use]
+    pub fn around(points: impl Iterator<Item = Vec3> + Clone) -> Option<Self> {
+        let (low, high) = points.clone().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+        let center = (low + high) * 0.5;
+        let radius = points.fold(0.0f32, |r, p| r.max(p.distance(center)));
+        center.is_finite().then_some(Self { center, radius })
+    }
+
+    fn is_met(&self, origin: Vec3, direction: Vec3) -> bool {
+        let d = self.center - origin;
+        let along = d.dot(direction);
+        let r2 = self.radius * self.radius * 1.0001;
+        d.length_squared() <= r2 || (along > 0.0 && d.length_squared() - along * along <= r2)
+    }
+}
+
+/// Which body a ray meets first.
+#[derive(Debug, Clone, Copy)]
+pub enum Met<'a> {
+    /// A body.
+    Body(&'a Body, Hit, Part),
+    /// Nothing: the light beyond the scene.
+    Beyond,
+}
+
+/// Part of the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// There before and after.
+    Kept,
+    /// Only there before.
+    Removed,
+    /// Only there after.
+    Inserted,
+}
+
+/// The scene before and after.
+#[derive(Debug)]
+pub struct World {
+    /// What stays.
+    pub kept: Body,
+    /// What goes.
+    pub removed: Option<Body>,
+    /// What comes.
+    pub inserted: Option<Body>,
+    /// Balls around all that goes or comes.
+    pub changes: Vec<Ball>,
+    /// The light.
+    pub environment: Environment,
+}
+
+impl World {
+    fn changing(&self, part: Part, origin: Vec3, direction: Vec3) -> Option<(&Body, Hit)> {
+        let body = match part {
+            Part::Removed => self.removed.as_ref()?,
+            _ => self.inserted.as_ref()?,
+        };
+        if !self.changes.iter().any(|b| b.is_met(origin, direction)) {
+            return None;
+        }
+        Some((body, body.bvh.closest_hit(origin, direction)?))
+    }
+
+    /// What a ray meets first on one side of the change.
+    #[must_use]
+    pub fn meet(&self, origin: Vec3, direction: Vec3, side: Side) -> Met<'_> {
+        let part = if side == Side::Before { Part::Removed } else { Part::Inserted };
+        let kept = self.kept.bvh.closest_hit(origin, direction);
+        match (kept, self.changing(part, origin, direction)) {
+            (Some(k), Some((_, h))) if k.distance <= h.distance => Met::Body(&self.kept, k, Part::Kept),
+            (_, Some((body, h))) => Met::Body(body, h, part),
+            (Some(k), None) => Met::Body(&self.kept, k, Part::Kept),
+            (None, None) => Met::Beyond,
+        }
+    }
+
+    /// Radiance that a ray brings back. Reconstructed surfaces give off their diffuse light, inserted ones also reflect.
+    #[must_use]
+    pub fn radiance(&self, origin: Vec3, direction: Vec3, side: Side, depth: u32, seed: u32) -> Vec3 {
+        match self.meet(origin, direction, side) {
+            Met::Beyond => self.environment.radiance(direction),
+            Met::Body(body, hit, part) => self.leaving(body, &hit, part, origin, direction, side, depth, seed),
+        }
+    }
+
+    /// Radiance that leaves a hit towards where the ray came from.
+    #[allow(clippy::too_many_arguments)]
+    fn leaving(
+        &self,
+        body: &Body,
+        hit: &Hit,
+        part: Part,
+        origin: Vec3,
+        direction: Vec3,
+        side: Side,
+        depth: u32,
+        seed: u32,
+    ) -> Vec3 {
+        let t = body.object.mesh.triangles[hit.triangle as usize];
+        let values = if side == Side::After { &body.after } else { &body.radiance };
+        let mut sum = interpolate(values, t, hit);
+        if part == Part::Inserted && depth < MOST_REFLECTIONS {
+            let look = body.object.look(hit);
+            if !look.is_matt() {
+                let spot = body.spot(origin, direction, hit);
+                sum += self.reflected(&spot, &look, direction, side, depth + 1, hash(seed, depth), 1, 0);
+            }
+        }
+        sum
+    }
+
+    /// Radiance that the glossy lobe of a surface sends back along a ray: GGX normals, Smith's masking.
+    #[allow(clippy::too_many_arguments)]
+    #[must_use]
+    pub fn reflected(
+        &self,
+        spot: &Spot,
+        look: &Look,
+        direction: Vec3,
+        side: Side,
+        depth: u32,
+        seed: u32,
+        samples: u32,
+        first: u32,
+    ) -> Vec3 {
+        let samples = if look.alpha < 1e-3 { 1 } else { samples };
+        let view = -direction;
+        let mut sum = Vec3::ZERO;
+        for i in 0..samples {
+            let (normal, weight) = if look.alpha < 1e-3 {
+                (spot.normal, 1.0)
+            } else {
+                let m = ggx_normal(spot.normal, look.alpha, point(first + i, seed));
+                let out = m * (2.0 * view.dot(m)) - view;
+                let (nv, no, nm, vm) =
+                    (spot.normal.dot(view).max(1e-3), spot.normal.dot(out), spot.normal.dot(m), view.dot(m));
+                if no <= 0.0 || vm <= 0.0 {
+                    continue;
+                }
+                (m, smith(nv, look.alpha) * smith(no, look.alpha) * vm / (nv * nm.max(1e-3)))
+            };
+            let out = normal * (2.0 * view.dot(normal)) - view;
+            if out.dot(spot.normal) <= 0.0 {
+                continue;
+            }
+            let f = look.reflectance(view.dot(normal).abs());
+            sum += f * self.radiance(spot.origin, out.normalize(), side, depth, seed ^ i) * weight;
+        }
+        sum / samples as f32
+    }
+
+    /// Irradiance over π at a spot: `samples` directions, half drawn by the cosine and half by the light (the balance
+    /// heuristic of Veach). `first` goes on with a sequence that was begun.
+    #[must_use]
+    pub fn gather(&self, spot: &Spot, side: Side, samples: u32, first: u32, seed: u32) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for i in first..first + samples {
+            let u = point(i / 2, seed ^ (i & 1));
+            let d = if i & 1 == 0 { cosine(spot.normal, u) } else { self.environment.sample(u) };
+            let cos = d.dot(spot.normal);
+            if cos <= 0.0 {
+                continue;
+            }
+            let density = 0.5 * (cosine_density(cos) + self.environment.density(d));
+            sum += self.radiance(spot.origin, d, side, 0, hash(seed, i)) * (cos / (PI * density));
+        }
+        sum / samples as f32
+    }
+
+    /// By how much irradiance over π changes at a spot: only directions towards what changed are drawn, and the same
+    /// ray is followed on both sides, so that what does not change gives exactly 0.
+    #[must_use]
+    pub fn change(&self, spot: &Spot, samples: u32, seed: u32) -> Vec3 {
+        let cones: Vec<Option<Cone>> =
+            self.changes.iter().map(|b| Cone::towards(spot.origin, b.center, b.radius)).collect();
+        // Every other ray follows the light: lamps behind the change are small.
+        let share = 0.5 / cones.len().max(1) as f32;
+        let mut sum = Vec3::ZERO;
+        for i in 0..samples {
+            let u = point(i / 2, seed ^ (i & 1));
+            let d = match cones.get((i / 2) as usize % cones.len().max(1)) {
+                _ if i & 1 == 1 => self.environment.sample(u),
+                Some(Some(cone)) => cone.sample(u),
+                _ => cosine(spot.normal, u),
+            };
+            let cos = d.dot(spot.normal);
+            if cos <= 0.0 {
+                continue;
+            }
+            let before = self.changing(Part::Removed, spot.origin, d);
+            let after = self.changing(Part::Inserted, spot.origin, d);
+            if before.is_none() && after.is_none() {
+                continue;
+            }
+            let kept = self.kept.bvh.closest_hit(spot.origin, d);
+            let nearest = |h: Option<(&Body, Hit)>| {
+                h.filter(|(_, h)| kept.is_none_or(|k| h.distance < k.distance)).map(|(_, h)| h)
+            };
+            let (before, after) = (nearest(before), nearest(after));
+            if before.is_none() && after.is_none() {
+                continue;
+            }
+            let seed = hash(seed, i);
+            let arriving = |side: Side, hit: Option<Hit>| match (hit, kept, side) {
+                (Some(h), _, Side::Before) => {
+                    self.removed.as_ref().map(|b| self.leaving(b, &h, Part::Removed, spot.origin, d, side, 0, seed))
+                }
+                (Some(h), _, Side::After) => {
+                    self.inserted.as_ref().map(|b| self.leaving(b, &h, Part::Inserted, spot.origin, d, side, 0, seed))
+                }
+                (None, Some(k), _) => Some(self.leaving(&self.kept, &k, Part::Kept, spot.origin, d, side, 0, seed)),
+                (None, None, _) => Some(self.environment.radiance(d)),
+            };
+            let difference =
+                arriving(Side::After, after).unwrap_or_default() - arriving(Side::Before, before).unwrap_or_default();
+            let mut density = 0.5 * self.environment.density(d);
+            for cone in &cones {
+                density += share * cone.as_ref().map_or_else(|| cosine_density(cos), |c| c.density(d));
+            }
+            sum += difference * (cos / (PI * density));
+        }
+        sum / samples as f32
+    }
+
+    /// An upper bound of the share of irradiance that the change can touch at a spot, under even light.
+    #[must_use]
+    pub fn reach(&self, spot: &Spot) -> f32 {
+        let one = |b: &Ball| {
+            Cone::towards(spot.origin, b.center, b.radius)
+                .map_or(1.0, |c| c.solid_angle() * c.highest_cosine(spot.normal) / PI)
+        };
+        self.changes.iter().map(one).sum()
+    }
+}

@@ -1,0 +1,355 @@
+//! One picture of a changed world: differential rendering over a photo, or over the model's own picture.
+//!
+//! `picture = photo · (render with) / (render without)` where a surface stays in view: the same as
+//! `photo + gain · (with − without)` when the photo itself says what the surface's colour is, so that texture and noise
+//! of the photo scale with its light. What was not in view before is rendered with the keyframe's gain.
+
+use crate::numerics::random::hash;
+use crate::rays::Hit;
+use crate::render::before_after_scene::{Body, Side, Spot};
+use crate::render::change::{Changed, ratio, rays};
+use crate::render::objects::{interpolate, weights};
+use crate::render::sampling::point;
+use firmware_config::RealityConfig;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use recordings::types::{CameraModel, Pose};
+use std::f32::consts::TAU;
+
+/// Ratios nearer to 1 than this leave an 8-bit value as it is.
+const NO_CHANGE: f32 = 1e-3;
+/// Changes of light below this share are believed less and less: so much do lamps that were not seen err in their place.
+const BELIEVED: f32 = 0.03;
+/// Where light grows by these factors, the photo (mostly noise, contact and blur there) fades to the model.
+const DEEP: [f32; 2] = [1.5, 2.2];
+/// Half width in pixels of the filter over the change of light, which varies slowly along a surface.
+const FILTER: i32 = 2;
+/// Samples that show the model itself, per pixel.
+const MODEL_SAMPLES: u32 = 4;
+/// Rays of a glossy reflection per sample.
+const GLOSS_RAYS: u32 = 16;
+
+/// A camera with a pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Viewpoint {
+    /// The camera.
+    pub camera: CameraModel,
+    /// Camera-to-world pose.
+    pub world_from_camera: Pose,
+    /// Picture = gain · radiance, per channel.
+    pub gain: Vec3,
+}
+
+impl Viewpoint {
+    /// Pixels per row and rows.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.camera.intrinsics.width as usize, self.camera.intrinsics.height as usize)
+    }
+
+    fn eye(&self) -> Vec3 {
+        self.world_from_camera.translation.as_vec3()
+    }
+
+    /// Unit direction through a pixel.
+    #[must_use]
+    pub fn ray(&self, u: f32, v: f32) -> Vec3 {
+        let d = self.world_from_camera.rotation * self.camera.unproject(f64::from(u), f64::from(v));
+        d.normalize().as_vec3()
+    }
+}
+
+/// A rendered picture: linear, gain applied, row-major; `touched` where it is not what it was put over.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    /// Pixels.
+    pub linear: Vec<Vec3>,
+    /// Changed pixels.
+    pub touched: Vec<bool>,
+}
+
+/// What a pixel's centre shows of the kept and the removed surface.
+#[derive(Debug, Clone, Copy)]
+struct Ground {
+    kept: Option<(Hit, Spot)>,
+    removed: bool,
+}
+
+/// The model as scanned: what the picture is put over when there is no photo.
+#[must_use]
+pub fn model(changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> Vec<Vec3> {
+    let (width, height) = view.size();
+    (0..width * height)
+        .into_par_iter()
+        .map(|i| {
+            let seed = hash(i as u32, config.seed ^ 0x30de);
+            let mut sum = Vec3::ZERO;
+            for s in 0..MODEL_SAMPLES {
+                let p = within_pixel(i, width, s, seed, config);
+                sum += surface(changed, view.eye(), view.ray(p.x, p.y), Side::Before, hash(seed, s));
+            }
+            view.gain * sum / MODEL_SAMPLES as f32
+        })
+        .collect()
+}
+
+/// Light that comes back along a view ray, gloss of reconstructed surfaces included.
+fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32) -> Vec3 {
+    use crate::render::before_after_scene::Met;
+    let world = &changed.world;
+    match world.meet(eye, d, side) {
+        Met::Beyond => changed.beyond(d),
+        Met::Body(body, hit, _) => {
+            let t = body.object.mesh.triangles[hit.triangle as usize];
+            let light = interpolate(if side == Side::After { &body.after } else { &body.radiance }, t, &hit);
+            let look = body.object.look(&hit);
+            if look.is_matt() {
+                return light;
+            }
+            let spot = body.spot(eye, d, &hit);
+            light + world.reflected(&spot, &look, d, side, 1, seed, GLOSS_RAYS, 0)
+        }
+    }
+}
+
+/// A position within the footprint of pixel `i`: Gaussian, as the lens and the pixel blur.
+fn within_pixel(i: usize, width: usize, sample: u32, seed: u32, config: &RealityConfig) -> Vec2 {
+    let center = Vec2::new((i % width) as f32, (i / width) as f32);
+    let [u, v] = point(sample, seed);
+    let r = config.camera_blur_px as f32 * (-2.0 * libm::logf(1.0 - u)).sqrt();
+    let (s, c) = libm::sincosf(TAU * v);
+    center + Vec2::new(c, s) * r
+}
+
+/// Puts the change of `changed` over `base` (linear, as the camera gave it).
+#[must_use]
+pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &RealityConfig) -> Picture {
+    let (width, height) = view.size();
+    let eye = view.eye();
+    let world = &changed.world;
+    let ground: Vec<Ground> = (0..width * height)
+        .into_par_iter()
+        .map(|i| {
+            let d = view.ray((i % width) as f32, (i / width) as f32);
+            let kept = world.kept.bvh.closest_hit(eye, d);
+            let removed = world.removed.as_ref().and_then(|b| b.bvh.closest_hit(eye, d));
+            let removed = removed.is_some_and(|r| kept.is_none_or(|k| r.distance < k.distance));
+            Ground { kept: kept.map(|k| (k, world.kept.spot(eye, d, &k))), removed }
+        })
+        .collect();
+    let uncovered = uncovered(&ground, width, height, config.removal_margin_px);
+    let light = lighting(changed, &ground, &uncovered, width, height, config);
+    let linear: Vec<(Vec3, bool)> = (0..width * height)
+        .into_par_iter()
+        .map(|i| {
+            let mut value = base[i];
+            let mut touched = false;
+            // Where light changes by much, what the photo shows is mostly the contact itself: its surface is rendered.
+            let deep =
+                light.ratio[i].map_or(0.0, |r| ((r.max_element() - DEEP[0]) / (DEEP[1] - DEEP[0])).clamp(0.0, 1.0));
+            let share = uncovered[i].max(deep);
+            if let Some(ratio) = light.ratio[i].filter(|r| (*r - 1.0).abs().max_element() > NO_CHANGE) {
+                value *= ratio;
+                touched = true;
+            }
+            if share > 0.0 {
+                let behind = match &ground[i].kept {
+                    Some((hit, _)) => {
+                        let t = world.kept.object.mesh.triangles[hit.triangle as usize];
+                        interpolate(&changed.reflectance, t, hit) * light.irradiance[i]
+                    }
+                    None => changed.beyond(view.ray((i % width) as f32, (i / width) as f32)),
+                };
+                value = value.lerp(view.gain * behind, share);
+                touched = true;
+            }
+            let (color, cover) = in_front(changed, view, i, config);
+            if cover > 0.0 {
+                value = value * (1.0 - cover) + view.gain * color;
+                touched = true;
+            }
+            (value, touched)
+        })
+        .collect();
+    Picture { linear: linear.iter().map(|p| p.0).collect(), touched: linear.iter().map(|p| p.1).collect() }
+}
+
+/// Share of each pixel that a removed thing, its blur included, covered: 1 inside, falling off over the margin.
+fn uncovered(ground: &[Ground], width: usize, height: usize, margin: u32) -> Vec<f32> {
+    let mut share: Vec<f32> = ground.iter().map(|g| f32::from(u8::from(g.removed))).collect();
+    if !ground.iter().any(|g| g.removed) {
+        return share;
+    }
+    let reach = margin as i32;
+    let outline: Vec<f32> = (0..share.len())
+        .into_par_iter()
+        .map(|i| {
+            let (x, y) = ((i % width) as i32, (i / width) as i32);
+            let mut nearest = f32::INFINITY;
+            for dy in -reach..=reach {
+                for dx in -reach..=reach {
+                    let (qx, qy) = (x + dx, y + dy);
+                    if qx >= 0
+                        && qy >= 0
+                        && qx < width as i32
+                        && qy < height as i32
+                        && ground[qy as usize * width + qx as usize].removed
+                    {
+                        nearest = nearest.min(((dx * dx + dy * dy) as f32).sqrt());
+                    }
+                }
+            }
+            (1.5 * (1.0 - nearest / (reach as f32 + 1.0))).clamp(0.0, 1.0)
+        })
+        .collect();
+    share.iter_mut().zip(outline).for_each(|(s, o)| *s = s.max(o));
+    share
+}
+
+/// Light on the kept surface behind every pixel.
+struct Lighting {
+    /// Irradiance after / before; `None` where the change does not reach.
+    ratio: Vec<Option<Vec3>>,
+    /// Irradiance over π after, where the surface was uncovered or its light changes.
+    irradiance: Vec<Vec3>,
+}
+
+fn lighting(
+    changed: &Changed,
+    ground: &[Ground],
+    uncovered: &[f32],
+    width: usize,
+    height: usize,
+    config: &RealityConfig,
+) -> Lighting {
+    let world = &changed.world;
+    let triangles = &world.kept.object.mesh.triangles;
+    let reached = |hit: &Hit| {
+        let t = triangles[hit.triangle as usize];
+        t.iter().all(|&v| changed.reached[v as usize])
+    };
+    let raw: Vec<(Option<Vec3>, Vec3)> = ground
+        .par_iter()
+        .enumerate()
+        .map(|(i, g)| {
+            let Some((hit, spot)) = &g.kept else {
+                return (None, Vec3::ZERO);
+            };
+            let seed = hash(i as u32, config.seed ^ 0x9a7e);
+            let after = if uncovered[i] > 0.0 {
+                world.gather(spot, Side::After, config.pixel_rays / 4, 0, seed)
+            } else {
+                Vec3::ZERO
+            };
+            if g.removed || !reached(hit) {
+                return (None, after);
+            }
+            let before = interpolate(&changed.irradiance, triangles[hit.triangle as usize], hit);
+            let change = world.change(spot, rays(world.reach(spot), config.pixel_change_rays), seed);
+            let after = if uncovered[i] > 0.0 { after } else { (before + change).max(Vec3::ZERO) };
+            (Some(ratio(before, change)), after)
+        })
+        .collect();
+    // Light varies slowly along a surface: neighbours on the same plane share their samples.
+    let filtered: Vec<(Option<Vec3>, Vec3)> = (0..raw.len())
+        .into_par_iter()
+        .map(|i| {
+            let Some((_, spot)) = &ground[i].kept else {
+                return (None, Vec3::ZERO);
+            };
+            if raw[i].0.is_none() && uncovered[i] <= 0.0 {
+                return (None, Vec3::ZERO);
+            }
+            let (x, y) = ((i % width) as i32, (i / width) as i32);
+            let (mut r, mut wr, mut e, mut we) = (Vec3::ZERO, 0.0, Vec3::ZERO, 0.0);
+            for dy in -FILTER..=FILTER {
+                for dx in -FILTER..=FILTER {
+                    let (qx, qy) = (x + dx, y + dy);
+                    if qx < 0 || qy < 0 || qx >= width as i32 || qy >= height as i32 {
+                        continue;
+                    }
+                    let j = qy as usize * width + qx as usize;
+                    let Some((hit, other)) = &ground[j].kept else {
+                        continue;
+                    };
+                    let off = (other.origin - spot.origin).dot(spot.normal).abs();
+                    if other.normal.dot(spot.normal) < 0.9 || off > 0.004 * hit.distance {
+                        continue;
+                    }
+                    if let Some(ratio) = raw[j].0 {
+                        (r, wr) = (r + ratio, wr + 1.0);
+                    }
+                    if uncovered[j] > 0.0 || raw[j].0.is_some() {
+                        (e, we) = (e + raw[j].1, we + 1.0);
+                    }
+                }
+            }
+            (raw[i].0.filter(|_| wr > 0.0).map(|_| believed(r / wr)), if we > 0.0 { e / we } else { raw[i].1 })
+        })
+        .collect();
+    Lighting { ratio: filtered.iter().map(|f| f.0).collect(), irradiance: filtered.iter().map(|f| f.1).collect() }
+}
+
+/// A ratio of light, small changes drawn towards none.
+fn believed(ratio: Vec3) -> Vec3 {
+    let d = ratio - 1.0;
+    d * d * d / (d * d + BELIEVED * BELIEVED) + 1.0
+}
+
+/// Inserted things in a pixel: their radiance times the share of the pixel they cover, and that share.
+fn in_front(changed: &Changed, view: &Viewpoint, i: usize, config: &RealityConfig) -> (Vec3, f32) {
+    let Some(body) = &changed.world.inserted else {
+        return (Vec3::ZERO, 0.0);
+    };
+    let (width, _) = view.size();
+    let seed = hash(i as u32, config.seed ^ 0xf407);
+    let rays = (config.pixel_rays / config.pixel_samples).max(2);
+    let (mut color, mut cover) = (Vec3::ZERO, 0u32);
+    for s in 0..config.pixel_samples {
+        let p = within_pixel(i, width, s, seed, config);
+        let d = view.ray(p.x, p.y);
+        let Some(hit) = visible(changed, body, view.eye(), d) else {
+            // Most pixels are far from anything: a few samples tell.
+            if s == 3 && cover == 0 && !near(changed, view, p) {
+                break;
+            }
+            continue;
+        };
+        cover += 1;
+        let look = body.object.look(&hit);
+        let spot = body.spot(view.eye(), d, &hit);
+        if look.diffuse != Vec3::ZERO {
+            color += look.diffuse * changed.world.gather(&spot, Side::After, rays, s * rays, seed);
+        }
+        if !look.is_matt() {
+            color += changed.world.reflected(&spot, &look, d, Side::After, 0, seed, rays, s * rays);
+        }
+    }
+    let n = config.pixel_samples as f32;
+    (color / n, cover as f32 / n)
+}
+
+/// The hit of a view ray on something inserted, if nothing kept is nearer.
+fn visible(changed: &Changed, body: &Body, eye: Vec3, d: Vec3) -> Option<Hit> {
+    let hit = body.bvh.closest_hit(eye, d)?;
+    (!changed.world.kept.bvh.occluded_within(eye, d, hit.distance)).then_some(hit)
+}
+
+/// True if something inserted is about where pixel `p` looks.
+fn near(changed: &Changed, view: &Viewpoint, p: Vec2) -> bool {
+    let d = view.ray(p.x, p.y);
+    let slack = 4.0 / view.camera.intrinsics.fx as f32;
+    changed.world.changes.iter().any(|b| {
+        let to = b.center - view.eye();
+        let along = to.dot(d);
+        let radius = b.radius + slack * along.max(0.0);
+        to.length_squared() <= radius * radius
+            || (along > 0.0 && to.length_squared() - along * along <= radius * radius)
+    })
+}
+
+/// Weights of the corners of a hit, for callers that keep their own arrays.
+#[must_use]
+pub fn corners(hit: &Hit) -> [f32; 3] {
+    weights(hit)
+}

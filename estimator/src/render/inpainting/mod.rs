@@ -1,0 +1,5 @@
+//! What a removed object hid: its triangles are cut and the hole is closed ([`geometry`]); colour patterns are continued
+//! from the border ([`texture`]).
+
+pub mod geometry;
+pub mod texture;

@@ -1,0 +1,176 @@
+//! Continues colour and its texture into what nobody saw: a piece of the known surface beside the hole, moved along the
+//! surface into it, its level fitted to the hole's border by a membrane (after Pérez, Gangnet and Blake, "Poisson Image
+//! Editing", SIGGRAPH 2003, on ratios).
+
+use crate::render::removal::{Adjacency, inpaint};
+use glam::Vec3;
+use recordings::types::Mesh;
+use std::collections::BTreeMap;
+use std::f32::consts::TAU;
+
+/// Holes of fewer vertices show no texture.
+const SMALLEST: usize = 24;
+/// Directions in which a piece is looked for, and distances in radii of the hole.
+const DIRECTIONS: usize = 24;
+const DISTANCES: [f32; 4] = [1.6, 2.1, 2.7, 3.5];
+/// Vertices at which a piece is judged.
+const PROBES: usize = 240;
+/// Share of the hole that a piece has to cover.
+const COVERAGE: f32 = 0.97;
+/// Largest spread of the log ratio along the border under which a piece is the same texture.
+const LARGEST_SPREAD: f32 = 0.35;
+/// Normals of one surface agree to this cosine.
+const SAME_SURFACE: f32 = 0.8;
+
+/// The known vertices, to be found by place.
+struct Known<'a> {
+    mesh: &'a Mesh,
+    values: Vec<Vec3>,
+    cell: f32,
+    cells: BTreeMap<[i32; 3], Vec<u32>>,
+}
+
+impl<'a> Known<'a> {
+    fn new(mesh: &'a Mesh, values: &[Vec3], known: &[bool], edge: f32) -> Self {
+        let mut all =
+            Self { mesh, values: values.to_vec(), cell: 1.5 * edge.max(f32::MIN_POSITIVE), cells: BTreeMap::new() };
+        for v in (0..known.len()).filter(|&v| known[v]) {
+            all.cells.entry(all.cell_of(mesh.positions[v])).or_default().push(v as u32);
+        }
+        all
+    }
+
+    fn cell_of(&self, p: Vec3) -> [i32; 3] {
+        (p / self.cell).floor().as_ivec3().to_array()
+    }
+
+    /// The value at a place on a surface with this normal, from the known vertices about it.
+    fn at(&self, p: Vec3, normal: Vec3) -> Option<Vec3> {
+        let [x, y, z] = self.cell_of(p);
+        let (mut sum, mut weight) = (Vec3::ZERO, 0.0f32);
+        for i in 0..27 {
+            let key = [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1];
+            for &v in self.cells.get(&key).into_iter().flatten() {
+                let distance = self.mesh.positions[v as usize].distance(p) / self.cell;
+                if distance < 1.0 && self.mesh.normals[v as usize].dot(normal) > SAME_SURFACE {
+                    let w = (1.0 - distance) / (distance + 0.05);
+                    (sum, weight) = (sum + self.values[v as usize] * w, weight + w);
+                }
+            }
+        }
+        (weight > 0.0).then(|| sum / weight)
+    }
+}
+
+/// Fills `values` where they are not `known`: a membrane everywhere, texture where a piece of the surface beside fits.
+/// `edge` is the mesh's median edge in metres.
+pub fn carry_on(values: &mut [Vec3], known: &[bool], mesh: &Mesh, adjacency: &Adjacency, edge: f32) {
+    let around = Known::new(mesh, values, known, edge);
+    inpaint(values, known, adjacency);
+    let mut done = known.to_vec();
+    for start in 0..known.len() {
+        if done[start] || adjacency.of(start).is_empty() {
+            continue;
+        }
+        let hole = adjacency.patch(start, &mut done);
+        if hole.len() >= SMALLEST {
+            clone_into(&hole, values, known, &around, adjacency);
+        }
+    }
+}
+
+fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Known, adjacency: &Adjacency) {
+    let mesh = around.mesh;
+    let sum: Vec3 = hole.iter().map(|&v| mesh.normals[v]).sum();
+    let normal = sum / hole.len() as f32;
+    if normal.length() < SAME_SURFACE {
+        return;
+    }
+    let normal = normal.normalize();
+    let mut border: Vec<usize> =
+        hole.iter().flat_map(|&v| adjacency.of(v)).map(|&v| v as usize).filter(|&v| known[v]).collect();
+    border.sort_unstable();
+    border.dedup();
+    if border.len() < 8 {
+        return;
+    }
+    let middle = hole.iter().map(|&v| mesh.positions[v]).sum::<Vec3>() / hole.len() as f32;
+    let radius = hole.iter().fold(0.0f32, |r, &v| r.max(mesh.positions[v].distance(middle)));
+    let some = |list: &[usize]| -> Vec<usize> { list.iter().step_by(list.len().div_ceil(PROBES)).copied().collect() };
+    let (inside, rim) = (some(hole), some(&border));
+    let (t, b) = normal.any_orthonormal_pair();
+    let mut best: Option<(f32, Vec3)> = None;
+    for i in 0..DIRECTIONS * DISTANCES.len() {
+        let (s, c) = libm::sincosf(TAU * (i % DIRECTIONS) as f32 / DIRECTIONS as f32);
+        let shift = (t * c + b * s) * (radius * DISTANCES[i / DIRECTIONS]);
+        let source = |v: usize| around.at(mesh.positions[v] + shift, normal);
+        let covered = inside.iter().chain(&rim).filter(|&&v| source(v).is_some()).count();
+        if (covered as f32) < COVERAGE * (inside.len() + rim.len()) as f32 {
+            continue;
+        }
+        let logs: Vec<f32> = rim.iter().filter_map(|&v| Some(log_ratio(values[v], source(v)?))).collect();
+        let mean = logs.iter().sum::<f32>() / logs.len().max(1) as f32;
+        let spread = (logs.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / logs.len().max(1) as f32).sqrt();
+        // Another material is another level, too.
+        let cost = spread + 0.5 * mean.abs();
+        if cost < LARGEST_SPREAD && best.is_none_or(|(least, _)| cost < least) {
+            best = Some((cost, shift));
+        }
+    }
+    let Some((_, shift)) = best else {
+        return;
+    };
+    let mut level = vec![Vec3::ONE; values.len()];
+    let mut fixed = vec![true; values.len()];
+    hole.iter().for_each(|&v| fixed[v] = false);
+    for &v in &border {
+        if let Some(source) = around.at(mesh.positions[v] + shift, normal) {
+            level[v] = (values[v] / source.max(Vec3::splat(1e-6))).clamp(Vec3::splat(0.25), Vec3::splat(4.0));
+        }
+    }
+    inpaint(&mut level, &fixed, adjacency);
+    for &v in hole {
+        if let Some(source) = around.at(mesh.positions[v] + shift, normal) {
+            values[v] = source * level[v];
+        }
+    }
+}
+
+fn log_ratio(a: Vec3, b: Vec3) -> f32 {
+    libm::logf(a.element_sum().max(1e-6) / b.element_sum().max(1e-6))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stripes_go_on_across_a_hole() {
+        const N: usize = 81;
+        let mut mesh = Mesh::default();
+        for i in 0..N * N {
+            mesh.positions.push(Vec3::new((i % N) as f32, (i / N) as f32, 0.0));
+            mesh.normals.push(Vec3::Z);
+        }
+        for y in 0..N - 1 {
+            for x in 0..N - 1 {
+                let (a, n) = ((y * N + x) as u32, N as u32);
+                mesh.triangles.extend([[a, a + 1, a + n + 1], [a, a + n + 1, a + n]]);
+            }
+        }
+        let stripes = |p: &Vec3| Vec3::splat(0.5 + 0.2 * libm::sinf(p.y * 0.8)) * (1.0 + 0.003 * p.x);
+        let truth: Vec<Vec3> = mesh.positions.iter().map(stripes).collect();
+        let known: Vec<bool> = mesh.positions.iter().map(|p| p.distance(Vec3::new(40.0, 40.0, 0.0)) > 9.0).collect();
+        let adjacency = Adjacency::new(N * N, &mesh.triangles);
+        let blank: Vec<Vec3> = truth.iter().zip(&known).map(|(t, k)| if *k { *t } else { Vec3::ZERO }).collect();
+        let error = |values: &[Vec3]| -> f32 {
+            let inside = (0..N * N).filter(|&v| !known[v]);
+            let sum: f32 = inside.map(|v| (values[v] - truth[v]).length_squared()).sum();
+            (sum / known.iter().filter(|k| !**k).count() as f32).sqrt()
+        };
+        let (mut smooth, mut textured) = (blank.clone(), blank);
+        inpaint(&mut smooth, &known, &adjacency);
+        carry_on(&mut textured, &known, &mesh, &adjacency, 1.0);
+        assert!(error(&textured) < 0.4 * error(&smooth), "{} {}", error(&textured), error(&smooth));
+    }
+}

@@ -1,0 +1,8 @@
+//! Light for rendering. In: spherical-harmonic light of a result, panoramas, keyframe pictures. Out: an
+//! [`environment::Environment`] that can be sampled by importance; directions that no surface observed are completed from
+//! what keyframes saw beyond the scan ([`observed_background`], [`completion`]).
+
+pub mod completion;
+pub mod environment;
+pub mod observed_background;
+pub mod panorama;

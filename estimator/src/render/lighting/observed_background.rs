@@ -1,0 +1,215 @@
+//! What the keyframes saw past the mesh: the part of the surroundings that needs no guess.
+
+use crate::rays::Scene;
+use crate::render::lighting::environment::{Environment, SIDE, texel};
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::result::{Estimate, ResultKeyframe};
+use recordings::types::RgbImage;
+
+/// Pixels between samples: finer than a texel of the surroundings.
+const STEP: u32 = 3;
+/// Pixels around a sample that must miss the mesh, too: its outline is blurred and its pose not exact.
+const CLEARANCE: f64 = 4.0;
+/// 8-bit values from here on are clipped: at least this much light.
+const CLIPPED: u8 = 252;
+/// Directions that what nobody saw is continued from, at most.
+const CONTINUED_FROM: usize = 400;
+/// How fast their influence falls off: to 1/e at 18°.
+const CONTINUED_SHARPNESS: f32 = 20.0;
+/// Sum of their influence (1 = all around was seen) from which on they say half of what is likely.
+const NEAR: f32 = 0.01;
+/// Keyframes that differ by this share about a direction saw something near, not the surroundings.
+const SPREAD: f32 = 0.3;
+
+/// Radiance of one texel of the surroundings.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Known {
+    /// Radiance, in the light's units.
+    pub radiance: Vec3,
+    /// How far the keyframes agree, 0..1; 0 = not seen.
+    pub trust: f32,
+    /// True if the picture was clipped there: the radiance is a lower bound.
+    pub clipped: bool,
+    /// What the directions around that were seen let expect here.
+    pub likely: Vec3,
+    /// How near those are, 0..1; 0 = nothing was seen.
+    pub near: f32,
+}
+
+/// Camera ray through a pixel, in the world: unit direction.
+#[must_use]
+pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
+    let d = keyframe.world_from_camera.rotation * keyframe.camera.unproject(u, v);
+    d.normalize().as_vec3()
+}
+
+/// The keyframes' pictures as a backdrop at infinity, as sharp as they are.
+#[derive(Debug, Default)]
+pub struct Backdrop {
+    views: Vec<(ResultKeyframe, RgbImage)>,
+    table: Vec<f32>,
+    /// What is likely where none looked.
+    continued: Option<Environment>,
+}
+
+impl Backdrop {
+    /// From pictures, one a keyframe (`None` where there is none).
+    #[must_use]
+    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[Known]) -> Self {
+        let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
+        let likely = || Environment::from_texels(known.iter().map(|k| k.likely).collect());
+        let continued = known.iter().any(|k| k.near > 0.0).then(likely);
+        Self { views, table: estimate.response.linear_table().to_vec(), continued }
+    }
+
+    /// Radiance from beyond the scan in a unit direction: the middle of what the keyframes saw there past every surface
+    /// that `blocks` a ray (origin, direction), per channel; where none looked, continued from
+    /// where they did. `None` if nowhere.
+    #[must_use]
+    pub fn radiance(&self, direction: Vec3, blocks: impl Fn(Vec3, Vec3) -> bool) -> Option<Vec3> {
+        let seen: Vec<Vec3> = self.views.iter().filter_map(|(k, p)| self.from(k, p, direction, &blocks)).collect();
+        let middle = |c: usize| {
+            let mut x: Vec<f32> = seen.iter().map(|r| r[c]).collect();
+            x.sort_by(f32::total_cmp);
+            // Of an even number, both in the middle.
+            (x[(x.len() - 1) / 2] + x[x.len() / 2]) * 0.5
+        };
+        if seen.is_empty() {
+            return self.continued.as_ref().map(|e| e.radiance(direction));
+        }
+        Some(Vec3::new(middle(0), middle(1), middle(2)))
+    }
+
+    fn from(
+        &self,
+        keyframe: &ResultKeyframe,
+        picture: &RgbImage,
+        direction: Vec3,
+        blocks: impl Fn(Vec3, Vec3) -> bool,
+    ) -> Option<Vec3> {
+        let eye = keyframe.world_from_camera.translation.as_vec3();
+        let (u, v) = keyframe.camera.project(keyframe.world_from_camera.rotation.inverse() * direction.as_dvec3())?;
+        let (x, y) = (libm::floor(u), libm::floor(v));
+        let (w, h) = (f64::from(picture.width), f64::from(picture.height));
+        let inside = x >= 0.0 && y >= 0.0 && x + 1.0 < w && y + 1.0 < h;
+        let misses = |dx: f64, dy: f64| !blocks(eye, ray(keyframe, u + dx, v + dy));
+        let c = CLEARANCE;
+        if !inside || !misses(0.0, 0.0) || !misses(-c, 0.0) || !misses(c, 0.0) || !misses(0.0, -c) || !misses(0.0, c) {
+            return None;
+        }
+        let at = |x: u32, y: u32| {
+            let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
+            Vec3::new(self.table[p[0] as usize], self.table[p[1] as usize], self.table[p[2] as usize])
+        };
+        let (fx, fy) = ((u - x) as f32, (v - y) as f32);
+        let (x, y) = (x as u32, y as u32);
+        let linear = at(x, y).lerp(at(x + 1, y), fx).lerp(at(x, y + 1).lerp(at(x + 1, y + 1), fx), fy);
+        Some(linear / Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9)))
+    }
+}
+
+/// Continues what was seen smoothly into all directions.
+fn carry_on(known: &mut [Known]) {
+    let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].trust > 0.5).collect();
+    let step = seen.len().div_ceil(CONTINUED_FROM).max(1);
+    let few: Vec<(Vec3, Vec3)> = seen
+        .iter()
+        .step_by(step)
+        .map(|&i| (crate::render::lighting::environment::direction(i), known[i].radiance))
+        .collect();
+    if few.is_empty() {
+        return;
+    }
+    // Each stands for `step` texels; the influence of a whole sphere of them is 2π / sharpness.
+    let all = CONTINUED_SHARPNESS * 2.0 * step as f32 / (SIDE * SIDE) as f32;
+    known.par_iter_mut().enumerate().for_each(|(i, k)| {
+        let d = crate::render::lighting::environment::direction(i);
+        // Far from everything seen all weights are small, and alike.
+        let weighted = few.iter().map(|(at, r)| {
+            let w = libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
+            (*r * (1e-6 + w), w)
+        });
+        let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
+        k.likely = sum / (1e-6 * few.len() as f32 + weight);
+        let influence = all * weight;
+        k.near = influence / (influence + NEAR);
+    });
+}
+
+/// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
+#[must_use]
+pub fn surroundings(estimate: &Estimate, scene: &Scene, pictures: &[Option<RgbImage>]) -> Vec<Known> {
+    let table = estimate.response.linear_table();
+    let views: Vec<Vec<(usize, Vec3, bool)>> = estimate
+        .keyframes
+        .par_iter()
+        .zip(pictures)
+        .map(|(keyframe, picture)| picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table)))
+        .collect();
+    let mut samples: Vec<Vec<(Vec3, bool)>> = vec![Vec::new(); SIDE * SIDE];
+    for (i, radiance, clipped) in views.into_iter().flatten() {
+        samples[i].push((radiance, clipped));
+    }
+    let mut known: Vec<Known> = samples.par_iter().map(|s| agree(s)).collect();
+    carry_on(&mut known);
+    known
+}
+
+/// The light with what was seen of the surroundings in place of what was inferred of them.
+#[must_use]
+pub fn overlay(light: &Environment, known: &[Known]) -> Environment {
+    light.overlaid(|i, inferred| {
+        let k = &known[i];
+        let radiance = if k.clipped { k.radiance.max(inferred) } else { k.radiance };
+        inferred.lerp(radiance, k.trust)
+    })
+}
+
+/// Mean radiance of every texel that one keyframe saw past the mesh, ascending.
+fn one_view(
+    keyframe: &ResultKeyframe,
+    picture: &RgbImage,
+    scene: &Scene,
+    table: &[f32; 256],
+) -> Vec<(usize, Vec3, bool)> {
+    let eye = keyframe.world_from_camera.translation.as_vec3();
+    let gain = Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9));
+    let mut found = Vec::new();
+    for y in (0..picture.height).step_by(STEP as usize) {
+        for x in (0..picture.width).step_by(STEP as usize) {
+            let misses = |dx: f64, dy: f64| !scene.occluded(eye, ray(keyframe, f64::from(x) + dx, f64::from(y) + dy));
+            let c = CLEARANCE;
+            if misses(0.0, 0.0) && misses(-c, 0.0) && misses(c, 0.0) && misses(0.0, -c) && misses(0.0, c) {
+                let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
+                let linear = Vec3::new(table[p[0] as usize], table[p[1] as usize], table[p[2] as usize]);
+                let clipped = p.iter().any(|v| *v >= CLIPPED);
+                found.push((texel(ray(keyframe, f64::from(x), f64::from(y))), linear / gain, clipped));
+            }
+        }
+    }
+    found.sort_by_key(|(i, _, _)| *i);
+    found
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|same| {
+            let mean = same.iter().map(|(_, r, _)| *r).sum::<Vec3>() / same.len() as f32;
+            (same[0].0, mean, same.iter().any(|(_, _, c)| *c))
+        })
+        .collect()
+}
+
+fn agree(samples: &[(Vec3, bool)]) -> Known {
+    if samples.is_empty() {
+        return Known::default();
+    }
+    let median = |mut x: Vec<f32>| {
+        x.sort_by(f32::total_cmp);
+        x[x.len() / 2]
+    };
+    let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c]).collect());
+    let radiance = Vec3::new(channel(0), channel(1), channel(2));
+    let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum()).collect());
+    let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
+    let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
+    Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped, ..Known::default() }
+}

@@ -1,0 +1,84 @@
+//! Segments that touch and have like albedos are one material cut apart by a crease or a shadow: its gloss is one.
+
+use crate::mesh::graph::Graph;
+use crate::segmentation::lab;
+use crate::specular::{Gloss, SIGNIFICANT};
+use glam::Vec3;
+use recordings::types::Mesh;
+
+/// Albedos that differ by less are alike (CIELAB).
+const ALIKE: f32 = 10.0;
+
+/// Weights pooled over the segments of each material, by their standard errors.
+#[must_use]
+pub fn pooled(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]], gloss: &[Gloss]) -> Vec<Gloss> {
+    let material = materials(mesh, segment, albedo);
+    let known = |g: &Gloss| g.error.is_finite() && g.error > 0.0;
+    let mut sums = vec![[0.0f64; 2]; gloss.len()];
+    let mut best: Vec<Option<Gloss>> = vec![None; gloss.len()];
+    for (g, &m) in gloss.iter().zip(&material).filter(|(g, _)| known(g)) {
+        let precision = 1.0 / (g.error * g.error);
+        sums[m][0] += precision;
+        sums[m][1] += precision * g.w_s;
+        if best[m].is_none_or(|b| g.error < b.error) {
+            best[m] = Some(*g);
+        }
+    }
+    let pool = |(g, &m): (&Gloss, &usize)| match best[m] {
+        Some(told) if known(g) && told.error == g.error => *g,
+        Some(told) => {
+            let (w_s, error) = (sums[m][1] / sums[m][0], 1.0 / libm::sqrt(sums[m][0]));
+            let significant = told.significant && w_s > SIGNIFICANT * error;
+            Gloss { w_d: if significant { told.w_d } else { 1.0 }, w_s, error, significant, ..told }
+        }
+        None => *g,
+    };
+    gloss.iter().zip(&material).map(pool).collect()
+}
+
+/// The material of every segment, named by its lowest segment.
+fn materials(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]]) -> Vec<usize> {
+    let labs: Vec<Vec3> = albedo.iter().map(|a| lab(Vec3::from_array(a.map(|x| x as f32)).max(Vec3::ZERO))).collect();
+    let graph = Graph::new(mesh);
+    let mut touching: Vec<[u32; 2]> = (0..graph.vertices())
+        .flat_map(|i| graph.neighbours(i).iter().map(move |&j| [segment[i], segment[j as usize]]))
+        .filter(|[a, b]| a < b)
+        .collect();
+    touching.sort_unstable();
+    touching.dedup();
+    let mut material: Vec<usize> = (0..albedo.len()).collect();
+    for [a, b] in touching {
+        let (a, b) = (a as usize, b as usize);
+        if labs[a].distance(labs[b]) < ALIKE {
+            let (low, high) = (material[a].min(material[b]), material[a].max(material[b]));
+            material.iter_mut().filter(|m| **m == high).for_each(|m| *m = low);
+        }
+    }
+    material
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A strip of four segments: two of one white, a red one, and a white one that touches only the red.
+    #[test]
+    fn what_touches_and_is_alike_has_one_gloss() {
+        let mut mesh = Mesh::default();
+        for i in 0..16_u32 {
+            mesh.positions.push(Vec3::new((i / 2) as f32, (i % 2) as f32, 0.0));
+            mesh.normals.push(Vec3::Z);
+            if i < 14 {
+                mesh.triangles.push([i, i + 1, i + 2]);
+            }
+        }
+        let segment: Vec<u32> = (0..16).map(|i| i / 4).collect();
+        let albedo = [[0.7, 0.7, 0.7], [0.68, 0.7, 0.72], [0.5, 0.1, 0.1], [0.7, 0.7, 0.7]];
+        let told = |w_s, error, significant| Gloss { w_s, error, significant, ..Gloss::NONE };
+        let gloss = [told(0.05, 0.001, true), told(0.0, 0.01, false), told(0.0, 0.01, false), told(0.0, 0.01, false)];
+        let pooled = pooled(&mesh, &segment, &albedo, &gloss);
+        assert_eq!(pooled[0], gloss[0], "the best evidence stands");
+        assert!(pooled[1].significant && (pooled[1].w_s - 0.0495).abs() < 1e-3, "{:?}", pooled[1]);
+        assert!(!pooled[2].significant && !pooled[3].significant, "{pooled:?}");
+    }
+}

@@ -1,0 +1,287 @@
+//! Scenes whose albedo and lit colour are known, vertex by vertex.
+
+use crate::rays::Scene;
+use crate::sweep::luminous;
+use glam::{DVec3, Mat3, Vec3};
+use nalgebra::{Matrix3, Vector3};
+use recordings::types::{Mesh, Pose};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Arrays and headers longer than this are not read.
+const MOST_BYTES: u64 = 1 << 30;
+/// Normals of the same surface point agree within this cosine.
+const SAME_SIDE: f32 = 0.7;
+
+/// What is true of a scene.
+pub struct Truth {
+    positions: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    albedo: Vec<Vec3>,
+    irradiance: Vec<Vec3>,
+    /// True poses by time stamp, if the scan has a frame of its own.
+    trajectory: BTreeMap<i64, Pose>,
+    /// How far off a surface that was found may be and still be the true one: 1.5 spacings of true vertices.
+    reach: f32,
+}
+
+/// An answer at the vertices of the mesh that was found.
+#[derive(Clone, Copy)]
+pub struct Answer<'a> {
+    /// Mesh that was found.
+    pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub scene: &'a Scene,
+    /// Keyframes by time stamp, in the frame of that mesh.
+    pub views: &'a [(i64, Pose)],
+    /// Vertices that two keyframes or more see.
+    pub seen: &'a [bool],
+    /// Albedo.
+    pub albedo: &'a [Vec3],
+    /// Irradiance.
+    pub irradiance: &'a [Vec3],
+}
+
+impl Truth {
+    /// A folder with `mesh.ply` and `truth/{albedo,lit_color}.npy`; poses are those of the mesh's frame.
+    ///
+    /// # Errors
+    /// A file is missing or of another kind.
+    pub fn of_photos(folder: &Path) -> Result<Self, String> {
+        let mesh = recordings::ply::read_ply(&folder.join("mesh.ply")).map_err(|e| e.to_string())?;
+        let albedo = read_npy(&folder.join("truth/albedo.npy"))?;
+        let lit = read_npy(&folder.join("truth/lit_color.npy"))?;
+        Self::new(mesh.positions, mesh.normals, albedo, &lit, BTreeMap::new())
+    }
+
+    /// A folder with `mesh.ply` (albedo and lit colour per vertex) and `trajectory.txt`, as the synthetic Kinect writes it.
+    ///
+    /// # Errors
+    /// A file is missing or of another kind.
+    pub fn of_recording(folder: &Path) -> Result<Self, String> {
+        let rows = read_vertices(&folder.join("mesh.ply"))?;
+        let take =
+            |from: usize| rows.iter().map(|r| Vec3::new(r[from], r[from + 1], r[from + 2])).collect::<Vec<Vec3>>();
+        let path = folder.join("trajectory.txt");
+        let text = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
+        let trajectory = text.lines().filter(|l| !l.starts_with('#')).filter_map(pose_of).collect();
+        Self::new(take(0), take(3), take(6), &take(9), trajectory)
+    }
+
+    fn new(
+        positions: Vec<Vec3>,
+        normals: Vec<Vec3>,
+        albedo: Vec<Vec3>,
+        lit: &[Vec3],
+        trajectory: BTreeMap<i64, Pose>,
+    ) -> Result<Self, String> {
+        if positions.is_empty() || [normals.len(), albedo.len(), lit.len()].iter().any(|n| *n != positions.len()) {
+            return Err("truth: arrays of different lengths".into());
+        }
+        let low = positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
+        let high = positions.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max);
+        // Surfaces fill the box like its faces do: about one vertex a cell.
+        let d = high - low;
+        let area = (d.x * d.y + d.y * d.z + d.z * d.x).max(f32::MIN_POSITIVE);
+        let reach = 1.5 * (area / positions.len() as f32).sqrt();
+        let irradiance = lit.iter().zip(&albedo).map(|(f, a)| *f / a.max(Vec3::splat(1e-6))).collect();
+        Ok(Self { positions, normals, albedo, irradiance, trajectory, reach })
+    }
+
+    /// Median relative error of albedo and irradiance, after one factor per channel: at the true vertices, so that finer
+    /// and coarser meshes are measured at the same places.
+    #[must_use]
+    pub fn errors(&self, answer: &Answer) -> (f64, f64) {
+        let (rotation, translation) = self.frame(answer.views);
+        let back = rotation.transpose();
+        let mut pairs = [Vec::new(), Vec::new()];
+        for (i, (p, n)) in self.positions.iter().zip(&self.normals).enumerate() {
+            let known = [self.albedo[i], self.irradiance[i]];
+            if let Some(found) = answer.at(back * (*p - translation), back * *n, self.reach)
+                && found.iter().chain(&known).all(luminous)
+            {
+                pairs.iter_mut().zip(found).zip(known).for_each(|((pairs, f), k)| pairs.push(f / k));
+            }
+        }
+        let [albedo, irradiance] = pairs.map(|ratios| relative_error(&ratios));
+        (albedo, irradiance)
+    }
+
+    /// Truth's frame from the scan's: the rigid motion that brings the cameras, with their axes, onto the true ones.
+    fn frame(&self, views: &[(i64, Pose)]) -> (Mat3, Vec3) {
+        let marks =
+            |pose: &Pose| [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z].map(|a| pose.translation + pose.rotation * a);
+        let mut pairs: Vec<(DVec3, DVec3)> = Vec::new();
+        for (time, pose) in views {
+            if let Some(known) = self.trajectory.get(&(time / 1000)) {
+                pairs.extend(marks(pose).into_iter().zip(marks(known)));
+            }
+        }
+        if pairs.is_empty() {
+            return (Mat3::IDENTITY, Vec3::ZERO);
+        }
+        let n = pairs.len() as f64;
+        let (from, to) = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |(a, b), p| (a + p.0 / n, b + p.1 / n));
+        // Kabsch.
+        let mut cross = Matrix3::<f64>::zeros();
+        for (a, b) in &pairs {
+            let (a, b) = ((*a - from).to_array(), (*b - to).to_array());
+            cross += Vector3::from(b) * Vector3::from(a).transpose();
+        }
+        let svd = cross.svd(true, true);
+        let (Some(u), Some(v)) = (svd.u, svd.v_t) else { return (Mat3::IDENTITY, Vec3::ZERO) };
+        let sign = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v).determinant().signum()));
+        let r = u * sign * v;
+        let rotation = Mat3::from_cols_array(&std::array::from_fn(|i| r[(i % 3, i / 3)] as f32));
+        (rotation, to.as_vec3() - rotation * from.as_vec3())
+    }
+}
+
+impl Answer<'_> {
+    /// Albedo and irradiance of the seen surface that is nearest to `position` along its normal.
+    fn at(&self, position: Vec3, normal: Vec3, reach: f32) -> Option<[Vec3; 2]> {
+        let along = |normal: Vec3| self.scene.closest_hit(self.scene.offset_origin(position, -normal), normal);
+        let corners = |triangle: u32| self.mesh.triangles[triangle as usize].map(|i| i as usize);
+        let faces = |triangle| {
+            let [a, b, c] = corners(triangle).map(|i| self.mesh.normals[i]);
+            (a + b + c).normalize_or_zero().dot(normal) > SAME_SIDE
+        };
+        let hits = [along(normal), along(-normal)].into_iter().flatten();
+        let near = hits.filter(|h| h.distance < reach && faces(h.triangle));
+        let hit = near.min_by(|a, b| a.distance.total_cmp(&b.distance))?;
+        let [a, b, c] = corners(hit.triangle);
+        let blend = |v: &[Vec3]| v[a] * (1.0 - hit.u - hit.v) + v[b] * hit.u + v[c] * hit.v;
+        (self.seen[a] && self.seen[b] && self.seen[c]).then(|| [blend(self.albedo), blend(self.irradiance)])
+    }
+}
+
+/// Median over places and channels, after the median of each channel.
+fn relative_error(ratios: &[Vec3]) -> f64 {
+    let median = |mut values: Vec<f64>| {
+        let middle = values.len() / 2;
+        if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    };
+    let scale = [0, 1, 2].map(|c| median(ratios.iter().map(|r| f64::from(r[c])).collect()));
+    median(ratios.iter().flat_map(|r| [0, 1, 2].map(|c| (f64::from(r[c]) / scale[c] - 1.0).abs())).collect())
+}
+
+/// `timestamp tx ty tz qx qy qz qw`, by microseconds.
+fn pose_of(line: &str) -> Option<(i64, Pose)> {
+    let mut fields = line.split_whitespace();
+    let time = recordings::parse_seconds(fields.next()?)?;
+    let v: Vec<f64> = fields.map(str::parse).collect::<Result<_, _>>().ok()?;
+    let [tx, ty, tz, qx, qy, qz, qw] = v.try_into().ok()?;
+    let pose = Pose::new(glam::DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(tx, ty, tz));
+    Some((time / 1000, pose))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, String> {
+    let told = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+    let length = std::fs::metadata(path).map_err(|e| told(&e))?.len();
+    if length > MOST_BYTES {
+        return Err(told(&"too large"));
+    }
+    std::fs::read(path).map_err(|e| told(&e))
+}
+
+/// Rows of three floats from a NumPy file (little endian, C order).
+fn read_npy(path: &Path) -> Result<Vec<Vec3>, String> {
+    let bytes = read(path)?;
+    let parse = || {
+        let length = usize::from(u16::from_le_bytes(bytes.get(8..10)?.try_into().ok()?));
+        let header = std::str::from_utf8(bytes.get(10..10 + length)?).ok()?;
+        (bytes.starts_with(b"\x93NUMPY\x01") && header.contains("'<f4'") && header.contains("False"))
+            .then(|| bytes.get(10 + length..))?
+    };
+    let data = parse().ok_or_else(|| format!("{}: not an array of 32-bit floats", path.display()))?;
+    Ok(data.chunks_exact(12).map(|c| Vec3::from_array([0, 4, 8].map(|o| float(c, o)))).collect())
+}
+
+/// The first twelve numbers of every vertex of a binary PLY whose vertices begin with twelve floats.
+fn read_vertices(path: &Path) -> Result<Vec<[f32; 12]>, String> {
+    let bytes = read(path)?;
+    let parse = || {
+        let end = b"end_header\n";
+        let start = bytes.windows(end.len()).take(4096).position(|w| w == end)? + end.len();
+        let header = std::str::from_utf8(&bytes[..start]).ok()?;
+        let vertex = header.split("element vertex ").nth(1)?;
+        let count: usize = vertex.lines().next()?.trim().parse().ok()?;
+        let properties: Vec<&str> = vertex.lines().skip(1).take_while(|l| l.starts_with("property")).collect();
+        let floats = properties.iter().take_while(|l| l.starts_with("property float")).count();
+        let others = properties.iter().skip(floats);
+        let stride = 4 * floats + others.clone().filter(|l| l.starts_with("property uchar")).count();
+        if !header.contains("binary_little_endian") || floats != 12 || others.count() != stride - 48 {
+            return None;
+        }
+        bytes.get(start..start.checked_add(count.checked_mul(stride)?)?).map(|b| (b, stride))
+    };
+    let (data, stride) = parse().ok_or_else(|| format!("{}: not a mesh with truth", path.display()))?;
+    Ok(data.chunks_exact(stride).map(|c| std::array::from_fn(|i| float(c, 4 * i))).collect())
+}
+
+fn float(bytes: &[u8], at: usize) -> f32 {
+    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(f32::NAN, f32::from_le_bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of `n` × `n` cells, a little above or below z = 0.
+    fn square(n: u32, height: f32) -> Mesh {
+        let mut mesh = Mesh::default();
+        for i in 0..=n {
+            for j in 0..=n {
+                mesh.positions.push(Vec3::new(i as f32 / n as f32, j as f32 / n as f32, height));
+                mesh.normals.push(Vec3::Z);
+                if i < n && j < n {
+                    let at = |i: u32, j: u32| i * (n + 1) + j;
+                    mesh.triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
+                    mesh.triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
+                }
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn finer_and_coarser_meshes_are_measured_at_the_same_places() {
+        let known = square(40, 0.0);
+        // A third of the square, which finer vertices might crowd, is told wrong by a fifth.
+        let answer = |p: &Vec3| Vec3::splat(if p.x > 0.68 { 0.6 } else { 0.5 });
+        let count = known.positions.len();
+        let truth = Truth::new(
+            known.positions.clone(),
+            known.normals.clone(),
+            vec![Vec3::splat(0.5); count],
+            &vec![Vec3::splat(0.5); count],
+            BTreeMap::new(),
+        )
+        .expect("arrays of one length");
+        let share_wrong = |mesh: &Mesh| {
+            let albedo: Vec<Vec3> = mesh.positions.iter().map(answer).collect();
+            let irradiance = vec![Vec3::ONE; albedo.len()];
+            let seen = vec![true; albedo.len()];
+            let (scene, albedo, irradiance) = (&Scene::new(mesh), &albedo, &irradiance);
+            let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo, irradiance };
+            let at = |p: &Vec3| answer.at(*p, Vec3::Z, truth.reach);
+            let places: Vec<[Vec3; 2]> = known.positions.iter().filter_map(at).collect();
+            assert_eq!(truth.errors(&answer), (0.0, 0.0), "the median place is told right");
+            (places.len(), places.iter().filter(|p| p[0].x > 0.55).count() as f64 / places.len() as f64)
+        };
+        for mesh in [square(80, 0.001), square(20, -0.001), square(7, 0.0)] {
+            let (places, wrong) = share_wrong(&mesh);
+            assert!(places >= count * 9 / 10, "{places} of {count}");
+            assert!((wrong - 0.32).abs() < 0.05, "{wrong}");
+        }
+        let far = square(20, 0.2);
+        assert_eq!(places(&far, &truth), 0, "another surface is not the true one");
+    }
+
+    fn places(mesh: &Mesh, truth: &Truth) -> usize {
+        let ones = vec![Vec3::ONE; mesh.positions.len()];
+        let (scene, seen) = (&Scene::new(mesh), vec![true; ones.len()]);
+        let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo: &ones, irradiance: &ones };
+        truth.positions.iter().filter(|p| answer.at(**p, Vec3::Z, truth.reach).is_some()).count()
+    }
+}

@@ -1,0 +1,198 @@
+//! How well frames that no step used are predicted: the model re-rendered into their view.
+
+use crate::association::keyframe_image::{Picture, distorted};
+use crate::association::pose;
+use crate::association::{Setting, View};
+use crate::mesh::raster::{MISS, Raster, camera_positions};
+use crate::specular::{Gloss, Reflection};
+use firmware_config::{EstimatorConfig, Switch};
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+use recordings::result::{Decision, WitnessError};
+use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose};
+
+/// Pixels of a frame that are looked at, along each side: every so manieth.
+const STRIDE: usize = 2;
+
+/// What is re-rendered.
+#[derive(Clone, Copy)]
+pub struct Model<'a> {
+    /// Mesh, rays and light.
+    pub reflection: Reflection<'a>,
+    /// Lit colours.
+    pub lit_color: &'a [Vec3],
+    /// Weight behind them; 0 = never seen.
+    pub lit_weight: &'a [f32],
+    /// Albedo × irradiance.
+    pub diffuse: &'a [Vec3],
+    /// Segment of every vertex.
+    pub segment: &'a [u32],
+    /// Specular weights per segment.
+    pub gloss: &'a [Gloss],
+}
+
+/// How well one witness frame is predicted, and what stands between.
+#[derive(Debug, Clone)]
+pub struct Compared {
+    /// From the pose that its own picture tells, if poses are refined at all.
+    pub error: WitnessError,
+    /// From the pose it was tracked at: PSNR of the lit colours and of the model.
+    pub as_tracked: [f64; 2],
+    /// PSNR of its own colours brought onto the mesh and back: what poses, exposures and the model have no part in.
+    pub own_psnr_db: f64,
+    /// RMS distance between both poses' pixels.
+    pub moved_px: f64,
+}
+
+/// One pixel: the picture's linear colour, the lit colour, the model's colour.
+type Triple = [[f64; 3]; 3];
+
+/// Rounds of gain and pose.
+const ROUNDS: usize = 2;
+
+/// Compares one witness frame; `None` if its picture cannot be read.
+#[must_use]
+pub fn compare(model: &Model, setting: &Setting, frame: &Keyframe, config: &EstimatorConfig) -> Option<Compared> {
+    let picture = Picture::new(&frame.color, &frame.camera)?;
+    let tracked = frame.world_from_camera;
+    let seen = |model: &Model, pose: &Pose| pixels(model, setting, &picture, &frame.camera, pose);
+    let first = seen(model, &tracked);
+    let mut view = View { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
+    let mut found = first.clone();
+    if config.refine_poses != Switch::Off {
+        for _ in 0..ROUNDS {
+            view.world_from_camera = pose::located(setting, &picture, model.lit_color, model.lit_weight, &view);
+            found = seen(model, &view.world_from_camera);
+            view.gain = gains(&found, 1);
+        }
+    }
+    let (own_color, own_weight) = setting.colors_of(&picture, &view.world_from_camera, config);
+    let own = seen(&Model { lit_color: &own_color, lit_weight: &own_weight, ..*model }, &view.world_from_camera);
+    let looked_at =
+        (picture.camera.width as usize).div_ceil(STRIDE) * (picture.camera.height as usize).div_ceil(STRIDE);
+    let error = WitnessError {
+        name: frame.name.clone(),
+        lit_psnr_db: psnr(&found, 1),
+        model_psnr_db: psnr(&found, 2),
+        coverage: if looked_at > 0 { found.len() as f64 / looked_at as f64 } else { 0.0 },
+    };
+    Some(Compared {
+        error,
+        as_tracked: [psnr(&first, 1), psnr(&first, 2)],
+        own_psnr_db: psnr(&own, 1),
+        moved_px: shift(setting, &picture.camera, &tracked, &view.world_from_camera),
+    })
+}
+
+/// What stands between the witnesses and their predictions.
+#[must_use]
+pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decision> {
+    let mean = |of: &dyn Fn(&Compared) -> f64| compared.iter().map(of).sum::<f64>() / compared.len() as f64;
+    let (lit, model) = (mean(&|c| c.error.lit_psnr_db), mean(&|c| c.error.model_psnr_db));
+    let own = mean(&|c| c.own_psnr_db);
+    (!compared.is_empty()).then(|| Decision {
+        name: "witnesses".into(),
+        choice: if config.refine_poses == Switch::Off { "as tracked" } else { "from the pose that each tells" }.into(),
+        evidence: format!(
+            "{} frames that no step used: {lit:.1} dB from the lit colours, {model:.1} dB from the model; from the poses \
+             they were tracked at, {:.1} px off, {:.1} and {:.1} dB",
+            compared.len(),
+            mean(&|c| c.moved_px),
+            mean(&|c| c.as_tracked[0]),
+            mean(&|c| c.as_tracked[1]),
+        ),
+        cost: format!("{} frames rendered", compared.len()),
+        next_level: format!("their own colours on this mesh: {own:.1} dB, more takes smaller triangles or truer ones"),
+    })
+}
+
+/// What is seen of the model at every so manieth pixel.
+fn pixels(model: &Model, setting: &Setting, picture: &Picture, lens: &CameraModel, pose: &Pose) -> Vec<Triple> {
+    let mesh = setting.mesh;
+    let points = camera_positions(mesh, pose);
+    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, setting.near);
+    let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
+    let rows: Vec<usize> = (0..height).step_by(STRIDE).collect();
+    let pixel = |(x, y): (usize, usize)| {
+        let triangle = raster.triangle[y * width + x];
+        // Beyond the lens there is no picture.
+        if triangle == MISS || distorted(lens, x, y).is_none() {
+            return None;
+        }
+        let corners = mesh.triangles[triangle as usize];
+        let weights = raster.weights(x, y, corners.map(|i| points[i as usize]));
+        let seen = picture.bytes(x, y).map(|b| f64::from(setting.table[b as usize]));
+        shade(model, corners, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
+    };
+    rows.par_iter().flat_map_iter(|&y| (0..width).step_by(STRIDE).map(move |x| (x, y))).filter_map(pixel).collect()
+}
+
+/// RMS distance in pixels between where two poses see the vertices that both see.
+fn shift(setting: &Setting, k: &Intrinsics, one: &Pose, other: &Pose) -> f64 {
+    let project = |p: DVec3| {
+        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let inside = p.z > setting.near && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
+        inside.then(|| DVec2::new(u, v))
+    };
+    let pairs = camera_positions(setting.mesh, one).into_iter().zip(camera_positions(setting.mesh, other));
+    let (sum, count) = pairs
+        .filter_map(|(a, b)| Some(project(a)?.distance_squared(project(b)?)))
+        .fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));
+    if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
+}
+
+/// Lit colour and model colour of a surface point; `None` where a corner was never seen.
+fn shade(model: &Model, corners: [u32; 3], weights: [f32; 3], camera: DVec3) -> Option<[[f64; 3]; 2]> {
+    if corners.iter().any(|&i| model.lit_weight[i as usize] <= 0.0) {
+        return None;
+    }
+    let mix = |values: &[Vec3]| corners.iter().zip(weights).map(|(&i, w)| values[i as usize] * w).sum::<Vec3>();
+    let lit = mix(model.lit_color).to_array().map(f64::from);
+    let mut modelled = mix(model.diffuse).to_array().map(f64::from);
+    let (w_d, w_s) = corners.iter().zip(weights).fold((0.0, 0.0), |(d, s), (&i, w)| {
+        let gloss = model.gloss[model.segment[i as usize] as usize];
+        let (w_d, w_s) = if gloss.significant { (gloss.w_d, gloss.w_s) } else { (1.0, 0.0) };
+        (d + w_d * f64::from(w), s + w_s * f64::from(w))
+    });
+    if w_s > 0.0 {
+        let position = mix(&model.reflection.mesh.positions);
+        let normal = mix(&model.reflection.mesh.normals).normalize_or_zero();
+        let to_camera = (camera - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
+        let mirror = model.reflection.at(position, normal, to_camera).unwrap_or([0.0; 3]);
+        for c in 0..3 {
+            modelled[c] = w_d * modelled[c] + w_s * mirror[c]; // Eq. (13)
+        }
+    }
+    Some([lit, modelled])
+}
+
+/// The exposure gain per channel that fits best.
+fn gains(pixels: &[Triple], which: usize) -> [f64; 3] {
+    [0, 1, 2].map(|c| {
+        let mut ratios: Vec<f64> = pixels
+            .iter()
+            .filter(|p| p[which][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
+            .map(|p| p[0][c] / p[which][c])
+            .collect();
+        let middle = ratios.len() / 2;
+        if ratios.is_empty() { 1.0 } else { *ratios.select_nth_unstable_by(middle, f64::total_cmp).1 }
+    })
+}
+
+/// PSNR in 8-bit sRGB after one fitted exposure gain per channel.
+fn psnr(pixels: &[Triple], which: usize) -> f64 {
+    if pixels.is_empty() {
+        return 0.0;
+    }
+    let gain = gains(pixels, which);
+    let square: f64 =
+        pixels.iter().flat_map(|p| [0, 1, 2].map(|c| (srgb(gain[c] * p[which][c]) - srgb(p[0][c])).powi(2))).sum();
+    let mean = square / (3 * pixels.len()) as f64;
+    // A rounding error of half a level is the most that 8 bits can tell.
+    -10.0 * libm::log10(mean.max(1.0 / (12.0 * 255.0 * 255.0)))
+}
+
+fn srgb(x: f64) -> f64 {
+    let x = x.clamp(0.0, 1.0);
+    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055 }
+}

@@ -1,0 +1,321 @@
+//! Mesh + posed photos (`mesh.ply`, `transforms.json` in the NeRF convention) straight to a scan.
+//!
+//! NeRF's camera looks along −Z with +Y up (OpenGL); pixel centres stand at integer coordinates, so that the middle of
+//! a picture 640 pixels wide is `cx = 319.5`.
+
+use crate::codec::image::PictureHeader;
+use crate::error::{Error, Result};
+use crate::import::lists::read_text;
+use crate::import::tum::read_picture;
+use crate::ply::read_ply;
+use crate::scan::{CaptureStats, Scan, ScanSource};
+use crate::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Keyframe, Pose, Response, Sensor};
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+
+/// Endings tried for a `file_path` that names no file.
+const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
+
+/// Intrinsics, for all frames or for one.
+#[derive(Debug, Clone, Copy, Default, Deserialize)]
+struct Lens {
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Frame {
+    file_path: String,
+    transform_matrix: Vec<Vec<f64>>,
+    time_s: Option<f64>,
+    #[serde(flatten)]
+    lens: Lens,
+}
+
+#[derive(Debug, Deserialize)]
+struct Transforms {
+    camera_model: Option<String>,
+    frames: Vec<Frame>,
+    #[serde(flatten)]
+    lens: Lens,
+}
+
+/// Reads `dir/transforms.json`, its pictures, and the mesh (`mesh`, by default `dir/mesh.ply`). Every frame becomes a
+/// keyframe, in the order and under the name of the file; there are no witnesses.
+///
+/// # Errors
+/// Missing files, a mesh without triangles or with NaN, poses that are no rigid transforms, truncated pictures.
+pub fn import_photos(dir: &Path, mesh: Option<&Path>) -> Result<Scan> {
+    if !dir.is_dir() {
+        return Err(Error::invalid(dir, "no such folder", "give a folder with transforms.json and mesh.ply"));
+    }
+    let path = dir.join("transforms.json");
+    let invalid = |problem: String| Error::invalid(&path, problem, "see the NeRF convention of transforms.json");
+    if !path.is_file() {
+        return Err(Error::invalid(
+            dir,
+            "there is no transforms.json",
+            "give a folder with transforms.json and mesh.ply",
+        ));
+    }
+    let transforms: Transforms = serde_json::from_str(&read_text(&path)?).map_err(|e| invalid(e.to_string()))?;
+    if let Some(model) = &transforms.camera_model
+        && model.to_ascii_lowercase().contains("fisheye")
+    {
+        return Err(invalid(format!("camera model {model} is not supported: undistort the pictures first")));
+    }
+    let mesh = match mesh {
+        Some(mesh) => mesh.to_path_buf(),
+        None => dir.join("mesh.ply"),
+    };
+    let mesh = read_ply(&mesh)?;
+    let mut keyframes = Vec::new();
+    for (index, frame) in transforms.frames.iter().enumerate() {
+        let name = &frame.file_path;
+        let in_frame = |problem: String| invalid(format!("frame {index} (`{name}`): {problem}"));
+        let picture = find_picture(dir, name).ok_or_else(|| in_frame("there is no such picture".into()))?;
+        let bytes = read_picture(&picture)?;
+        let header = PictureHeader::read(&bytes)
+            .map_err(|problem| Error::invalid(&picture, problem, "replace the picture, or remove its frame"))?;
+        let (width, height) = (header.width, header.height);
+        let camera = camera(&transforms.lens, &frame.lens, width, height).map_err(in_frame)?;
+        let world_from_camera = pose(&frame.transform_matrix)
+            .ok_or_else(|| in_frame("transform_matrix is no rigid 4x4 camera-to-world transform".into()))?;
+        let time_s = frame.time_s.unwrap_or(index as f64);
+        if !time_s.is_finite() || time_s.abs() > 1e9 * 9.0 {
+            return Err(in_frame(format!("time_s {time_s}")));
+        }
+        let timestamp_ns = (time_s * 1e9).round() as i64;
+        let encoding = header.encoding;
+        let color = ColorFrame { timestamp_ns, width, height, encoding, bytes, missing_packets: 0 };
+        keyframes.push(Keyframe { name: name.clone(), world_from_camera, camera, color });
+    }
+    let Some(first) = keyframes.first() else {
+        return Err(invalid("there are no frames".into()));
+    };
+    let sensor = Sensor {
+        name: "posed photos".into(),
+        serial: String::new(),
+        color: first.camera,
+        depth: first.camera.undistorted(),
+        color_from_depth: Pose::IDENTITY,
+        depth_registered: true,
+        depth_unit_m: 0.001,
+        response: Response::Srgb,
+        depth_to_color_offset_ns: 0,
+    };
+    let name = dir.canonicalize().ok().and_then(|d| Some(d.file_name()?.to_string_lossy().into_owned()));
+    Ok(Scan {
+        name: name.unwrap_or_else(|| "photos".into()),
+        source: ScanSource::Photos,
+        sensor,
+        mesh,
+        keyframes,
+        witnesses: Vec::new(),
+        config: String::new(),
+        stats: CaptureStats::default(),
+    })
+}
+
+fn find_picture(dir: &Path, name: &str) -> Option<PathBuf> {
+    if name.is_empty() || Path::new(name).is_absolute() {
+        return None;
+    }
+    let with_ending = |ending: &str| dir.join(format!("{name}.{ending}"));
+    let mut candidates = std::iter::once(dir.join(name)).chain(ENDINGS.map(with_ending));
+    candidates.find(|path| path.is_file())
+}
+
+/// The camera of a frame: its own values, else those for all frames, else what the picture's size and field of view
+/// say.
+fn camera(all: &Lens, own: &Lens, width: u32, height: u32) -> std::result::Result<CameraModel, String> {
+    let value = |of: fn(&Lens) -> Option<f64>| of(own).or(of(all));
+    for (given, actual, what) in [(value(|l| l.w), width, "wide"), (value(|l| l.h), height, "high")] {
+        if let Some(given) = given
+            && given != f64::from(actual)
+        {
+            return Err(format!("the picture is {actual} pixels {what}, the intrinsics are for {given}"));
+        }
+    }
+    let from_angle = |angle: f64, side: u32| 0.5 * f64::from(side) / libm::tan(0.5 * angle);
+    let fx = value(|l| l.fl_x).or(value(|l| l.camera_angle_x).map(|a| from_angle(a, width)));
+    let fx = fx.ok_or("neither fl_x nor camera_angle_x is given")?;
+    let fy = value(|l| l.fl_y).or(value(|l| l.camera_angle_y).map(|a| from_angle(a, height))).unwrap_or(fx);
+    let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
+    let (cx, cy) = (value(|l| l.cx).unwrap_or(center(width)), value(|l| l.cy).unwrap_or(center(height)));
+    let coefficient = |of: fn(&Lens) -> Option<f64>| value(of).unwrap_or(0.0);
+    if coefficient(|l| l.k4) != 0.0 {
+        return Err("k4 is not supported: undistort the pictures first".into());
+    }
+    let camera = CameraModel {
+        intrinsics: Intrinsics { width, height, fx, fy, cx, cy },
+        distortion: Distortion {
+            k1: coefficient(|l| l.k1),
+            k2: coefficient(|l| l.k2),
+            p1: coefficient(|l| l.p1),
+            p2: coefficient(|l| l.p2),
+            k3: coefficient(|l| l.k3),
+        },
+    };
+    camera.problem().map_or(Ok(camera), |problem| Err(problem.into()))
+}
+
+/// A camera-to-world matrix with OpenGL camera axes as a pose with ours.
+fn pose(rows: &[Vec<f64>]) -> Option<Pose> {
+    let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
+    if !(3..=4).contains(&rows.len()) || rows.iter().any(|r| r.len() != 4) {
+        return None;
+    }
+    for (to, from) in m.iter_mut().zip(rows) {
+        // The camera's y and z axes are the matrix's second and third columns.
+        *to = [from[0], -from[1], -from[2], from[3]];
+    }
+    let last = rows.get(3).is_none_or(|r| r.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6));
+    if rows.len() == 3 {
+        m[3] = [0.0, 0.0, 0.0, 1.0];
+    }
+    Pose::from_rows(&m).filter(|_| last)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{GRADIENT_JPEG, bumpy_mesh, refuses_damage, shared};
+    use glam::DVec3;
+
+    const FRAMES: &str = r#"{"fl_x": 30, "w": 32, "h": 24, "k1": 0.1, "p2": 0.01, "frames": [
+        {"file_path": "images/b", "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]], "time_s": 2.5},
+        {"file_path": "./images/a.jpg", "transform_matrix": [[1,0,0,0],[0,0,-1,0],[0,1,0,0]], "fl_x": 40, "cx": 3, "k1": 0}]}"#;
+
+    fn folder(transforms: &str) -> tempfile::TempDir {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("images")).unwrap();
+        for name in ["images/a.jpg", "images/b.jpeg"] {
+            std::fs::write(dir.path().join(name), GRADIENT_JPEG).unwrap();
+        }
+        crate::ply::write_ply(&dir.path().join("mesh.ply"), &bumpy_mesh(5), &[]).unwrap();
+        std::fs::write(dir.path().join("transforms.json"), transforms).unwrap();
+        dir
+    }
+
+    #[test]
+    fn frames_keep_names_order_and_their_own_intrinsics() {
+        let dir = folder(FRAMES);
+        let scan = import_photos(dir.path(), None).unwrap();
+        let names: Vec<&str> = scan.keyframes.iter().map(|k| k.name.as_str()).collect();
+        assert_eq!(names, ["images/b", "./images/a.jpg"]);
+        let [b, a] = [&scan.keyframes[0], &scan.keyframes[1]];
+        assert_eq!((b.color.timestamp_ns, a.color.timestamp_ns), (2_500_000_000, 1_000_000_000));
+        let i = b.camera.intrinsics;
+        assert_eq!((i.width, i.height, i.fx, i.fy, i.cx, i.cy), (32, 24, 30.0, 30.0, 15.5, 11.5));
+        assert_eq!((b.camera.distortion.k1, b.camera.distortion.p2), (0.1, 0.01));
+        assert_eq!((a.camera.intrinsics.fx, a.camera.intrinsics.cx, a.camera.distortion.k1), (40.0, 3.0, 0.0));
+        // An OpenGL camera without rotation looks along the world's −Z, its image's down is −Y.
+        assert!((b.world_from_camera.transform(DVec3::Z) - DVec3::new(1.0, 2.0, 2.0)).length() < 1e-12);
+        assert!((b.world_from_camera.transform(DVec3::Y) - DVec3::new(1.0, 1.0, 3.0)).length() < 1e-12);
+        assert_eq!(b.color.bytes, GRADIENT_JPEG);
+        assert!(scan.witnesses.is_empty() && scan.source == ScanSource::Photos);
+        let other = dir.path().join("images/other.ply");
+        crate::ply::write_ply(&other, &bumpy_mesh(3), &[]).unwrap();
+        assert_eq!(import_photos(dir.path(), Some(&other)).unwrap().mesh.positions.len(), 9);
+    }
+
+    #[test]
+    fn field_of_view_stands_in_for_focal_length() {
+        let dir = folder(&FRAMES.replace("\"fl_x\": 30", "\"camera_angle_x\": 1.5707963267948966"));
+        let scan = import_photos(dir.path(), None).unwrap();
+        assert!((scan.keyframes[0].camera.intrinsics.fx - 16.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn bad_folders_are_explained() {
+        for (from, to, part) in [
+            ("\"fl_x\": 30, ", "", "neither fl_x nor"),
+            ("\"fl_x\": 30", "\"fl_x\": -30", "focal length"),
+            ("\"w\": 32", "\"w\": 64", "32 pixels wide, the intrinsics are for 64"),
+            ("[1,0,0,1]", "[2,0,0,1]", "no rigid"),
+            ("[1,0,0,1]", "[null,0,0,1]", "transforms.json"),
+            ("[1,0,0,1],", "", "no rigid"),
+            ("[0,0,0,1]", "[0,0,1,1]", "no rigid"),
+            ("images/b", "images/c", "no such picture"),
+            ("images/b", "/etc/hostname", "no such picture"),
+            ("\"time_s\": 2.5", "\"time_s\": 1e300", "time_s"),
+            ("\"w\": 32", "\"camera_model\": \"OPENCV_FISHEYE\"", "undistort"),
+            ("{\"fl_x\"", "[\"fl_x\"", "transforms.json"),
+        ] {
+            assert!(FRAMES.contains(from), "{from}");
+            let dir = folder(&FRAMES.replacen(from, to, 1));
+            let message = import_photos(dir.path(), None).unwrap_err().to_string();
+            assert!(message.contains(part), "{from} → {to}: {message}");
+        }
+        let dir = folder("{\"fl_x\": 30, \"frames\": []}");
+        assert!(import_photos(dir.path(), None).unwrap_err().to_string().contains("no frames"));
+        for file in ["mesh.ply", "transforms.json", "images/a.jpg"] {
+            let dir = folder(FRAMES);
+            std::fs::write(dir.path().join("damaged"), "").unwrap();
+            let path = dir.path().join(file);
+            let whole = std::fs::read(&path).unwrap();
+            for length in [0, whole.len() / 2, whole.len() - 1] {
+                std::fs::write(&path, &whole[..length]).unwrap();
+                let outcome = import_photos(dir.path(), None);
+                assert!(outcome.is_err() || file == "transforms.json" && length + 1 == whole.len(), "{file} {length}");
+            }
+            std::fs::remove_file(&path).unwrap();
+            assert!(
+                import_photos(dir.path(), None).unwrap_err().to_string().contains(file.rsplit('/').next().unwrap())
+            );
+        }
+        assert!(import_photos(Path::new("/nowhere"), None).unwrap_err().to_string().contains("no such folder"));
+    }
+
+    #[test]
+    fn both_descriptions_of_the_true_scenes_agree() {
+        let Some(shared) = shared() else { return };
+        for (scene, vertices) in [("ball", 10_000), ("bunny", 34_000), ("fruits", 70_000)] {
+            let dir = shared.join("truth").join(scene);
+            let scan = import_photos(&dir, None).unwrap();
+            assert!(scan.mesh.positions.len() > vertices);
+            let text = std::fs::read_to_string(dir.join("keyframes.json")).unwrap();
+            let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+            let frames = json["frames"].as_array().unwrap();
+            assert_eq!(frames.len(), scan.keyframes.len());
+            for (frame, keyframe) in frames.iter().zip(&scan.keyframes) {
+                assert_eq!(frame["file"], keyframe.name);
+                let rows = keyframe.world_from_camera.to_rows();
+                for (r, row) in rows.iter().enumerate() {
+                    for (c, value) in row.iter().enumerate() {
+                        let expected = frame["camera_to_world"][r][c].as_f64().unwrap();
+                        assert!((value - expected).abs() < 1e-9, "{scene} {} {r} {c}", keyframe.name);
+                    }
+                }
+                let i = keyframe.camera.intrinsics;
+                assert_eq!((i.fx, i.fy, i.cx, i.cy), (525.0, 525.0, 319.5, 239.5));
+                let time_s = keyframe.color.timestamp_ns as f64 * 1e-9;
+                assert!((frame["time_s"].as_f64().unwrap() - time_s).abs() < 1e-8);
+            }
+            assert!(scan.keyframes[0].color.decode().is_ok());
+        }
+    }
+
+    #[test]
+    fn an_imported_scan_can_be_stored() {
+        let dir = folder(FRAMES);
+        let scan = import_photos(dir.path(), None).unwrap();
+        let path = dir.path().join("a.lscan");
+        scan.write(&path).unwrap();
+        assert_eq!(Scan::read(&path).unwrap(), scan);
+        refuses_damage(&path, Scan::read);
+    }
+}
