@@ -81,7 +81,13 @@ pub fn estimate_on(
     }
 
     // The assumption that it all rests on, and frames that no step used.
-    let (decision, near) = factorisation::distance_check::check(&ready.mesh, &ready.fields, &ready.segment, &found);
+    let (decision, near) = factorisation::distance_check::check(
+        &ready.mesh,
+        &ready.fields,
+        &ready.segment,
+        &found,
+        &config.tuning.distance_check,
+    );
     ready.decisions.push(decision);
     let mut warnings = std::mem::take(&mut ready.warnings);
     warnings.extend(near);

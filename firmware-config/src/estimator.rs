@@ -123,5 +123,5 @@ section! {
         quality: Quality = Quality::Standard, [()], "", "";
         /// Seed of every random direction.
         seed: u32 = 1, [0..=4294967295], "", "";
-    }
+    } with crate::tuning::EstimatorTuning
 }

@@ -85,5 +85,5 @@ section! {
         keyframe_views: u32 = 4, [1..=16], "", "";
         /// Witness frames kept aside.
         witnesses: u32 = 3, [0..=32], "", "";
-    }
+    } with crate::tuning::FusionTuning
 }

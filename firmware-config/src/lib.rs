@@ -11,6 +11,7 @@ pub mod kinect_models;
 pub mod memory;
 pub mod reality;
 mod settings;
+pub mod tuning;
 
 use std::collections::BTreeMap;
 
@@ -106,7 +107,8 @@ impl Config {
             KinectConfig::SECTION => self.kinect.set(field, value),
             CameraConfig::SECTION => self.camera.set(field, value),
             RealityConfig::SECTION => self.reality.set(field, value),
-            _ => None,
+            _ => (self.fusion.tuning.set(section, field, value))
+                .or_else(|| self.estimator.tuning.set(section, field, value)),
         };
         outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
     }
@@ -123,7 +125,9 @@ impl Config {
         [
             self.capture.settings(),
             self.fusion.settings(),
+            self.fusion.tuning.settings(),
             self.estimator.settings(),
+            self.estimator.tuning.settings(),
             self.daemon.settings(),
             self.kinect.settings(),
             self.camera.settings(),
@@ -132,13 +136,14 @@ impl Config {
         .concat()
     }
 
-    /// The whole configuration as TOML that [`Config::from_toml`] reads back.
+    /// The configuration as TOML that [`Config::from_toml`] reads back: every setting, but thresholds of single stages only
+    /// where they differ from their default.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         let mut section = "";
         let settings = self.settings();
-        for s in &settings {
+        for s in settings.iter().filter(|s| !s.tuning || s.value != s.default) {
             let (head, field) = s.key.split_once('.').unwrap_or(("", &s.key));
             if head != section {
                 section = head;
@@ -211,6 +216,8 @@ mod tests {
         let mut config = Config::default();
         config.set("fusion.voxel_size_m=0.01").unwrap();
         config.set("estimator.transfer=shade").unwrap();
+        config.set("distance_check.changed_log=0.1").unwrap();
+        assert!(!config.to_toml().contains("explained_share"), "thresholds are stored where they were changed");
         assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
         assert_eq!(Config::from_toml(&config.to_commented_toml()), Ok(config));
     }

@@ -45,6 +45,8 @@ pub struct SettingInfo {
     pub symbol: &'static str,
     /// What it does.
     pub doc: &'static str,
+    /// True for thresholds of a single stage: a scan stores them only where they differ from their default.
+    pub tuning: bool,
 }
 
 /// A type a setting can have.
@@ -145,16 +147,21 @@ macro_rules! choices {
     };
 }
 
-/// Declares a section: a struct with one documented, bounded, defaulted field per setting.
+/// Declares a section: a struct with one documented, bounded, defaulted field per setting, and optionally a field `tuning`
+/// for the thresholds of its stages.
 macro_rules! section {
     ($(#[$meta:meta])* $name:ident = $section:literal {
         $(#[doc = $doc:literal] $field:ident: $ty:ty = $default:expr, [$range:expr], $unit:literal, $symbol:literal;)+
-    }) => {
+    } $(with $tuning:ty)?) => {
         $(#[$meta])*
         #[derive(Debug, Clone, PartialEq)]
-        pub struct $name { $(#[doc = $doc] pub $field: $ty),+ }
+        pub struct $name {
+            $(#[doc = $doc] pub $field: $ty,)+
+            $(/// Thresholds of the stages.
+            pub tuning: $tuning,)?
+        }
         impl Default for $name {
-            fn default() -> Self { Self { $($field: $default),+ } }
+            fn default() -> Self { Self { $($field: $default,)+ $(tuning: <$tuning>::default(),)? } }
         }
         impl $name {
             /// Name of the section in the configuration file.
@@ -172,6 +179,7 @@ macro_rules! section {
                     range: <$ty as Value>::describe(&$range),
                     symbol: $symbol,
                     doc: $doc.trim(),
+                    tuning: false,
                 }),+]
             }
             /// Sets one field; `None` if there is no such field.
@@ -191,4 +199,31 @@ macro_rules! section {
     };
 }
 
-pub(crate) use {choices, section};
+/// Declares a group of sections that hold thresholds.
+macro_rules! tuning {
+    ($(#[$meta:meta])* $name:ident { $(#[doc = $doc:literal] $section:ident: $ty:ident;)+ }) => {
+        $(#[$meta])*
+        #[derive(Debug, Clone, PartialEq, Default)]
+        pub struct $name { $(#[doc = $doc] pub $section: $ty),+ }
+        impl $name {
+            /// Every setting of the group.
+            #[must_use]
+            pub fn settings(&self) -> Vec<$crate::settings::SettingInfo> {
+                let mut all = [$(self.$section.settings()),+].concat();
+                all.iter_mut().for_each(|s| s.tuning = true);
+                all
+            }
+            /// Sets one field; `None` if there is no such section or field.
+            pub fn set(
+                &mut self, section: &str, field: &str, value: &toml::Value,
+            ) -> Option<Result<(), $crate::settings::ConfigError>> {
+                match section {
+                    $($ty::SECTION => self.$section.set(field, value),)+
+                    _ => None,
+                }
+            }
+        }
+    };
+}
+
+pub(crate) use {choices, section, tuning};

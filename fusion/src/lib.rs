@@ -80,8 +80,6 @@ pub struct FusionOutput {
     pub stats: CaptureStats,
 }
 
-/// Share of the tracking grid that must hold depth for a frame to be tracked at all.
-const MIN_VALID: f32 = 0.03;
 /// Longest gap between frames over which the last velocity is believed, seconds.
 const MAX_PREDICTION_S: f64 = 0.2;
 /// Frames over which the velocity is averaged that takes depth to the colour image's instant.
@@ -90,8 +88,6 @@ const VELOCITY_FRAMES: usize = 4;
 const LEAST_SPEED: f64 = 0.03;
 /// Longest time between the images of a pair that is made up for by the motion, seconds.
 const MAX_STAMP_GAP_S: f64 = 0.1;
-/// Anchors tried per frame when lost.
-const RELOCALISATION_TRIES: usize = 4;
 
 /// Longest time over which the last velocity is tried to find the camera again, seconds.
 const MAX_COASTING_S: f64 = 1.0;
@@ -290,7 +286,8 @@ impl Fusion {
 
     /// True if the frame shows nothing: a covered lens, a black picture, no depth.
     fn is_blind(&self) -> bool {
-        self.frame.valid < MIN_VALID || self.frame.mean_grey < self.config.black_below as f32
+        self.frame.valid < self.config.tuning.tracking.min_valid_share as f32
+            || self.frame.mean_grey < self.config.black_below as f32
     }
 
     /// Twist per second over the last frames, camera axes; `None` unless they were tracked one after another.
@@ -388,7 +385,7 @@ impl Fusion {
     fn relocalise(&mut self, stamp: TimestampNs) -> Option<Pose> {
         let mut tracker = std::mem::take(&mut self.tracker);
         let mut tries = vec![self.anchor];
-        tries.extend(self.anchors.alike(&self.frame, RELOCALISATION_TRIES));
+        tries.extend(self.anchors.alike(&self.frame, self.config.tuning.tracking.relocalisation_tries as usize));
         let last = self.reference.world_from_camera;
         let dt = seconds(self.last_stamp, stamp);
         // In small steps: who goes around something does not go straight on.

@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::factorisation::Factorised;
 use crate::factorisation::robust_solver::held_out_block;
+use firmware_config::tuning::DistanceCheckTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use recordings::result::Decision;
@@ -18,20 +19,21 @@ const NORMAL_TERMS: usize = 8;
 const POSITION_TERMS: usize = 9;
 /// Log residuals count up to this.
 const CAPPED: f64 = 1.0;
-/// The light is not distant if position explains this share of what is left on vertices that were left out …
-const EXPLAINED: f64 = 0.2;
-/// … and changes the light by this much (standard deviation of its logarithm).
-const CHANGED: f64 = 0.08;
-
 /// Looks for position in the residuals. Returns the decision, and the warning if there is one.
 ///
 /// Log residuals of the luminance are regressed, within segments, on the normal alone and on normal and position; blocks of
 /// vertices that took no part in the fit say how much position explains.
 #[must_use]
-pub fn check(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factorised) -> (Decision, Vec<String>) {
+pub fn check(
+    mesh: &Mesh,
+    fields: &Association,
+    segment: &[u32],
+    found: &Factorised,
+    tuning: &DistanceCheckTuning,
+) -> (Decision, Vec<String>) {
     let samples = samples(mesh, fields, segment, found);
     let (explained, changed) = position_share(&samples);
-    let contradicted = explained > EXPLAINED && changed > CHANGED;
+    let contradicted = explained > tuning.explained_share && changed > tuning.changed_log;
     let evidence = format!(
         "position explains {:.0} % of what light and albedo leave unexplained at equal normals, on vertices left out; it \
          changes the light by {:.0} %",
