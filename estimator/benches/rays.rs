@@ -9,7 +9,7 @@
 mod usage;
 
 use estimator::numerics::random::CosineDirections;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use glam::Vec3;
 use recordings::import::photos::import_photos;
 use recordings::types::Mesh;
@@ -34,7 +34,7 @@ fn main() {
         None => println!("skipped: bunny (LUMISCAN_SHARED is not set; it names the folder with truth/bunny)"),
     }
     for (name, mesh) in &scenes {
-        let scene = Scene::new(mesh);
+        let scene = RayScene::new(mesh);
         let rays = cosine_rays(mesh, &scene);
         if let Some(folder) = &folder {
             write(folder, name, mesh, &rays).expect("a folder that can be written");
@@ -57,7 +57,7 @@ fn rate(rays: &[Ray], hit: impl Fn(Vec3, Vec3) -> bool) -> (usize, f64) {
 }
 
 /// Rays as transfer traces them: from every vertex in turn, cosine-distributed about its normal.
-fn cosine_rays(mesh: &Mesh, scene: &Scene) -> Vec<Ray> {
+fn cosine_rays(mesh: &Mesh, scene: &RayScene) -> Vec<Ray> {
     let each = RAYS.div_ceil(mesh.positions.len());
     let directions = CosineDirections::new(each as u32, 1);
     let mut rays = Vec::with_capacity(each * mesh.positions.len());

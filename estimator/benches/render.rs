@@ -5,7 +5,7 @@
 
 mod usage;
 
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::render::change::{Changed, change};
 use estimator::render::compose::{Viewpoint, compose, model};
 use estimator::render::inpainting::geometry::cut;
@@ -30,7 +30,7 @@ fn main() {
     let estimate = desk();
     let view = viewpoint();
     let config = RealityConfig::default();
-    let scene = Scene::new(&estimate.mesh);
+    let scene = RayScene::new(&estimate.mesh);
     println!("{} vertices, 640x480, {} threads", estimate.mesh.positions.len(), rayon::current_num_threads());
 
     let around = || (infer(&estimate.light, &[]), Backdrop::default());

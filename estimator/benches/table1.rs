@@ -14,7 +14,7 @@ use estimator::association;
 use estimator::factorisation::{Colors, Settings, factorise};
 use estimator::mesh::regularise;
 use estimator::numerics::sh;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::segmentation;
 use estimator::transfer;
 use firmware_config::{EstimatorConfig, SolverChoice};
@@ -73,7 +73,7 @@ fn main() {
         let config =
             EstimatorConfig { max_vertices: size as u32, regularise: 0.01, rays: RAYS, ..EstimatorConfig::default() };
         let mesh = regularise::regularise(&scan.mesh, &config, ScanSource::Fusion);
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let progress = Silent;
         let (fields, association) =
             timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &progress));

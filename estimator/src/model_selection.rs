@@ -2,8 +2,8 @@
 
 use crate::factorisation::robust_solver::{self, DARK_FLOOR, Observed, Solution};
 use crate::factorisation::{self, Colors, Factorised, MID_GREY, Start};
-use crate::numerics::robust::{Gain, median};
-use crate::rays::Scene;
+use crate::numerics::robust::{SampleMean, median};
+use crate::rays::RayScene;
 use crate::transfer::{self, ERROR_OF_TWICE, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
@@ -36,7 +36,7 @@ const COLOR_ERROR: f64 = 0.01;
 
 /// What a few rays tell of the scene.
 #[must_use]
-pub fn pilot(mesh: &Mesh, scene: &Scene, seed: u32) -> Pilot {
+pub fn pilot(mesh: &Mesh, scene: &RayScene, seed: u32) -> Pilot {
     transfer::pilot(mesh, scene, PILOT_VERTICES, PILOT_RAYS, seed)
 }
 
@@ -106,7 +106,7 @@ pub fn bands(
     let mut note = |l: &Level| tried.push((l.bands, l.error()));
     let mut best = level(UPWARD[0].clamp(least, most), None);
     note(&best);
-    let mut next: Option<(usize, Gain)> = None;
+    let mut next: Option<(usize, SampleMean)> = None;
     let mut without = 0;
     for n in UPWARD.into_iter().skip(1).chain([most]).filter(|n| *n <= most) {
         if n <= best.bands || without >= PATIENCE || next.is_some_and(|(tried, _)| n <= tried) {
@@ -176,10 +176,10 @@ fn floors(evidence: &Colors) -> Vec<f64> {
             colors[*segment as usize].push(f64::from(f.element_sum() / 3.0));
         }
     }
-    colors.into_iter().map(|values| DARK_FLOOR * median(values)).collect()
+    colors.into_iter().map(|values| DARK_FLOOR * median(values).unwrap_or(0.0)).collect()
 }
 
-fn is_significant(gain: &Gain) -> bool {
+fn is_significant(gain: &SampleMean) -> bool {
     gain.mean > SIGNIFICANT * gain.error && gain.mean > LEAST_GAIN
 }
 
@@ -243,8 +243,8 @@ impl Level {
     }
 
     /// How much lower the error is than with `other`, over the same blocks.
-    fn gain_over(&self, other: &Self) -> Gain {
+    fn gain_over(&self, other: &Self) -> SampleMean {
         let gains: Vec<f64> = self.blocks.iter().zip(&other.blocks).map(|(a, b)| (b.1 - a.1) / a.2).collect();
-        Gain::of(&gains)
+        SampleMean::of(&gains)
     }
 }

@@ -13,7 +13,7 @@ use crate::mesh::graph::Graph;
 use crate::mesh::regularise;
 use crate::model_selection;
 use crate::numerics::sh;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::segmentation;
 use crate::specular::Gloss;
 use crate::specular::refit;
@@ -31,7 +31,7 @@ pub struct Ready {
     /// Regular mesh.
     pub mesh: Mesh,
     /// The same for rays.
-    pub scene: Scene,
+    pub scene: RayScene,
     /// Surface light field.
     pub fields: Association,
     /// Segment of every vertex.
@@ -89,7 +89,7 @@ pub fn prepare(
     } else {
         regularise::regularise(&scan.mesh, config, scan.source)
     };
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     if mesh.positions.is_empty() || mesh.triangles.is_empty() {
         return Err(EstimateError::Unusable("the mesh has no triangle".into()));
     }
@@ -266,7 +266,7 @@ pub fn witnesses(
         segment: &ready.segment,
         gloss,
     };
-    let graph = Graph::new(&ready.mesh);
+    let graph = Graph::of(&ready.mesh);
     let setting = Setting::new(&ready.mesh, &graph, &ready.scene, &scan.sensor.response, config);
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {

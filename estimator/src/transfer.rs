@@ -4,7 +4,7 @@
 use crate::mesh::vertex_weight::trust;
 use crate::numerics::random::{CosineDirections, hash, unit};
 use crate::numerics::sh;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Mesh;
@@ -103,7 +103,14 @@ fn held_rays(vertices: usize, rays: u32, most: u64) -> u32 {
 
 /// Traces `rays` cosine-distributed rays from every vertex; `report` is told the share done.
 #[must_use]
-pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, report: &(dyn Fn(f64) + Sync)) -> Traced {
+pub fn trace(
+    mesh: &Mesh,
+    scene: &RayScene,
+    bands: usize,
+    rays: u32,
+    seed: u32,
+    report: &(dyn Fn(f64) + Sync),
+) -> Traced {
     let go_on = |share: f64| {
         report(share);
         true
@@ -116,7 +123,7 @@ pub fn trace(mesh: &Mesh, scene: &Scene, bands: usize, rays: u32, seed: u32, rep
 #[must_use]
 pub fn trace_while(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     bands: usize,
     rays: u32,
     have: Option<&Traced>,
@@ -136,7 +143,7 @@ pub fn trace_while(
 /// A range of the rays of every vertex, with the hits of the first `hit_rays` of all.
 fn trace_holding(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     bands: usize,
     range: std::ops::Range<u32>,
     hit_rays: u32,
@@ -200,7 +207,7 @@ pub struct Pilot {
 
 /// Traces `rays` rays from evenly strided vertices.
 #[must_use]
-pub fn pilot(mesh: &Mesh, scene: &Scene, samples: usize, rays: u32, seed: u32) -> Pilot {
+pub fn pilot(mesh: &Mesh, scene: &RayScene, samples: usize, rays: u32, seed: u32) -> Pilot {
     let directions = CosineDirections::new(rays, seed);
     let stride = mesh.positions.len().div_ceil(samples.max(1)).max(1);
     let vertices: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
@@ -262,7 +269,7 @@ struct Hits<'a> {
 /// Fills the direct transfer of one vertex, appends its hits, and returns the blocked share and the estimated error.
 fn trace_vertex(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     directions: &CosineDirections,
     vertex: usize,
     range: std::ops::Range<u32>,
@@ -574,7 +581,7 @@ mod tests {
         assert_eq!(held_rays(2_000_000, 65_536, MOST_HITS), 16);
         assert_eq!(held_rays(usize::MAX, 128, MOST_HITS), 1);
         let mesh = corner(24);
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let bounced = |held| {
             let traced = trace_holding(&mesh, &scene, 5, 0..512, held, 1, &|_| true).expect("traced");
             assert!(traced.corners.len() <= held as usize * mesh.positions.len());
@@ -589,7 +596,7 @@ mod tests {
     #[test]
     fn more_rays_go_on_where_the_first_ended() {
         let mesh = corner(12);
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let traced = |rays, have| trace_while(&mesh, &scene, 5, rays, have, 1, &|_| true).expect("traced");
         let (all, more) = (traced(512, None), traced(512, Some(&traced(128, None))));
         assert_eq!((all.rays, &all.offsets, &all.corners), (more.rays, &more.offsets, &more.corners));
@@ -604,7 +611,7 @@ mod tests {
     #[test]
     fn one_bounce_and_the_rest_come_near_all_of_them() {
         let mesh = corner(24);
-        let traced = Arc::new(trace(&mesh, &Scene::new(&mesh), 5, 128, 1, &|_| ()));
+        let traced = Arc::new(trace(&mesh, &RayScene::new(&mesh), 5, 128, 1, &|_| ()));
         let albedo: Vec<Vec3> = mesh.normals.iter().map(|n| Vec3::new(0.9, 0.6, 0.3) * n.abs().x.max(0.7)).collect();
         let light = [[0.8; 3], [0.1; 3], [0.5; 3], [-0.2; 3], [0.0; 3], [0.2; 3], [-0.1; 3], [0.1; 3], [0.3; 3]];
         let arriving = |bounced| Transfer { traced: Arc::clone(&traced), bounced: Some(bounced) }.irradiance(&light);

@@ -1,15 +1,16 @@
 //! How well frames that no step used are predicted: the model re-rendered into their view.
 
-use crate::association::keyframe_image::{Picture, distorted};
+use crate::association::keyframe_image::{KeyframeImage, distorted};
 use crate::association::pose;
 use crate::association::{Setting, View};
 use crate::mesh::raster::{MISS, Raster, camera_positions};
+use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
 use firmware_config::{EstimatorConfig, Switch};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::result::{Decision, WitnessError};
-use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose};
+use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose, Response};
 
 /// Pixels of a frame that are looked at, along each side: every so manieth.
 const STRIDE: usize = 2;
@@ -53,7 +54,7 @@ const ROUNDS: usize = 2;
 /// Compares one witness frame; `None` if its picture cannot be read.
 #[must_use]
 pub fn compare(model: &Model, setting: &Setting, frame: &Keyframe, config: &EstimatorConfig) -> Option<Compared> {
-    let picture = Picture::new(&frame.color, &frame.camera)?;
+    let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
     let tracked = frame.world_from_camera;
     let seen = |model: &Model, pose: &Pose| pixels(model, setting, &picture, &frame.camera, pose);
     let first = seen(model, &tracked);
@@ -107,7 +108,7 @@ pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decis
 }
 
 /// What is seen of the model at every so manieth pixel.
-fn pixels(model: &Model, setting: &Setting, picture: &Picture, lens: &CameraModel, pose: &Pose) -> Vec<Triple> {
+fn pixels(model: &Model, setting: &Setting, picture: &KeyframeImage, lens: &CameraModel, pose: &Pose) -> Vec<Triple> {
     let mesh = setting.mesh;
     let points = camera_positions(mesh, pose);
     let raster = Raster::new(&points, &mesh.triangles, &picture.camera, setting.near);
@@ -169,13 +170,11 @@ fn shade(model: &Model, corners: [u32; 3], weights: [f32; 3], camera: DVec3) -> 
 /// The exposure gain per channel that fits best.
 fn gains(pixels: &[Triple], which: usize) -> [f64; 3] {
     [0, 1, 2].map(|c| {
-        let mut ratios: Vec<f64> = pixels
+        let ratios = pixels
             .iter()
             .filter(|p| p[which][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
-            .map(|p| p[0][c] / p[which][c])
-            .collect();
-        let middle = ratios.len() / 2;
-        if ratios.is_empty() { 1.0 } else { *ratios.select_nth_unstable_by(middle, f64::total_cmp).1 }
+            .map(|p| p[0][c] / p[which][c]);
+        median(ratios).unwrap_or(1.0)
     })
 }
 
@@ -185,14 +184,10 @@ fn psnr(pixels: &[Triple], which: usize) -> f64 {
         return 0.0;
     }
     let gain = gains(pixels, which);
+    let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
     let square: f64 =
         pixels.iter().flat_map(|p| [0, 1, 2].map(|c| (srgb(gain[c] * p[which][c]) - srgb(p[0][c])).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // A rounding error of half a level is the most that 8 bits can tell.
     -10.0 * libm::log10(mean.max(1.0 / (12.0 * 255.0 * 255.0)))
-}
-
-fn srgb(x: f64) -> f64 {
-    let x = x.clamp(0.0, 1.0);
-    if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055 }
 }

@@ -120,7 +120,7 @@ impl Undistort {
         for v in 0..camera.height {
             for u in 0..camera.width {
                 let ray = camera.ray(u as f32, v as f32);
-                let d = distort(distortion, f64::from(ray.x), f64::from(ray.y));
+                let d = distortion.distort(f64::from(ray.x), f64::from(ray.y));
                 let q = Vec2::new(d.0 as f32 * camera.fx + camera.cx, d.1 as f32 * camera.fy + camera.cy);
                 let inside =
                     q.x >= 0.0 && q.y >= 0.0 && q.x <= (camera.width - 1) as f32 && q.y <= (camera.height - 1) as f32;
@@ -156,16 +156,6 @@ impl DepthCorrection {
         };
         Self::Map((0..camera.width * camera.height).map(pixel).collect())
     }
-}
-
-/// Brown–Conrady: normalised undistorted to normalised distorted coordinates.
-fn distort(k: &Distortion, x: f64, y: f64) -> (f64, f64) {
-    let r2 = x * x + y * y;
-    let radial = 1.0 + r2 * (k.k1 + r2 * (k.k2 + r2 * k.k3));
-    (
-        x * radial + 2.0 * k.p1 * x * y + k.p2 * (r2 + 2.0 * x * x),
-        y * radial + k.p1 * (r2 + 2.0 * y * y) + 2.0 * k.p2 * x * y,
-    )
 }
 
 /// Number of grey pyramid levels.

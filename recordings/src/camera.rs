@@ -130,17 +130,32 @@ impl CameraModel {
 pub(crate) const MAX_SIDE: u32 = 16_384;
 
 impl Response {
+    /// Linear light of an encoded value, both with full scale 1; `value` must not be negative.
+    #[must_use]
+    pub fn linear_from_value(&self, value: f64) -> f64 {
+        match *self {
+            Self::Srgb if value <= 0.04045 => value / 12.92,
+            Self::Srgb => libm::pow((value + 0.055) / 1.055, 2.4),
+            Self::Linear => value,
+            Self::Gamma(gamma) => libm::pow(value, gamma),
+        }
+    }
+
+    /// Encoded value of linear light, both with full scale 1; `linear` must not be negative.
+    #[must_use]
+    pub fn value_from_linear(&self, linear: f64) -> f64 {
+        match *self {
+            Self::Srgb if linear <= 0.003_130_8 => 12.92 * linear,
+            Self::Srgb => 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055,
+            Self::Linear => linear,
+            Self::Gamma(gamma) => libm::pow(linear, 1.0 / gamma),
+        }
+    }
+
     /// Linear light (0..1) of an 8-bit value.
     #[must_use]
     pub fn linearise(&self, value: u8) -> f32 {
-        let v = f64::from(value) / 255.0;
-        let linear = match self {
-            Self::Srgb if v <= 0.04045 => v / 12.92,
-            Self::Srgb => libm::pow((v + 0.055) / 1.055, 2.4),
-            Self::Linear => v,
-            Self::Gamma(gamma) => libm::pow(v, *gamma),
-        };
-        linear as f32
+        self.linear_from_value(f64::from(value) / 255.0) as f32
     }
 
     /// [`Response::linearise`] of every 8-bit value.
@@ -152,14 +167,7 @@ impl Response {
     /// The nearest 8-bit value of linear light, clipped to 0..1; NaN becomes 0.
     #[must_use]
     pub fn encode(&self, linear: f32) -> u8 {
-        let x = f64::from(linear).clamp(0.0, 1.0);
-        let v = match self {
-            Self::Srgb if x <= 0.003_130_8 => 12.92 * x,
-            Self::Srgb => 1.055 * libm::pow(x, 1.0 / 2.4) - 0.055,
-            Self::Linear => x,
-            Self::Gamma(gamma) => libm::pow(x, 1.0 / gamma),
-        };
-        (255.0 * v).round() as u8
+        (255.0 * self.value_from_linear(f64::from(linear).clamp(0.0, 1.0))).round() as u8
     }
 }
 

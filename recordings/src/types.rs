@@ -111,6 +111,20 @@ impl Pose {
         Self { rotation: rotation.normalize(), translation }
     }
 
+    /// The rigid motion by a rotation vector (axis times angle, radians) and a translation (metres): exact in the rotation;
+    /// the coupling of the translation with the rotation is left out, which is of second order in the motion.
+    #[must_use]
+    pub fn exp(rotation: DVec3, translation: DVec3) -> Self {
+        Self::new(DQuat::from_scaled_axis(rotation), translation)
+    }
+
+    /// Rotation vector (radians, at most π long) and translation: the inverse of [`Pose::exp`].
+    #[must_use]
+    pub fn log(&self) -> (DVec3, DVec3) {
+        let q = if self.rotation.w < 0.0 { -self.rotation } else { self.rotation };
+        (q.to_scaled_axis(), self.translation)
+    }
+
     /// From a row-major 4×4 matrix. `None` if it holds NaN or infinity or is no proper rotation (within 1e-3).
     #[must_use]
     pub fn from_rows(rows: &[[f64; 4]; 4]) -> Option<Self> {

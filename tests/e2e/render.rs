@@ -83,7 +83,7 @@ impl Scanned {
         let k = &self.estimate.keyframes[0];
         let i = k.camera.intrinsics;
         let d = k.world_from_camera.rotation * k.camera.unproject(f64::from(i.width) / 2.0, f64::from(i.height) / 2.0);
-        let scene = estimator::rays::Scene::new(&self.estimate.mesh);
+        let scene = estimator::rays::RayScene::new(&self.estimate.mesh);
         let (eye, d) = (k.world_from_camera.translation.as_vec3(), d.normalize().as_vec3());
         let p = eye + d * scene.closest_hit(eye, d).expect("the table").distance;
         format!("{},{},{}", p.x, p.y, p.z)
@@ -230,7 +230,7 @@ fn a_removed_thing_is_gone_with_what_it_hid_filled() {
     assert!(!changed(&picture, &photo).is_empty());
 
     // The same by its segment.
-    let scene = estimator::rays::Scene::new(&s.estimate.mesh);
+    let scene = estimator::rays::RayScene::new(&s.estimate.mesh);
     let k = &s.estimate.keyframes[0];
     let d = k.world_from_camera.rotation * k.camera.unproject(x as f64, y as f64);
     let (eye, d) = (k.world_from_camera.translation.as_vec3(), d.normalize().as_vec3());

@@ -6,7 +6,7 @@
 //! and brightness have a free factor in each channel: medians over the view set them.
 
 use estimator::numerics::sh;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::render::change::change;
 use estimator::render::compose::Viewpoint;
 use estimator::render::inpainting::geometry::cut;
@@ -163,7 +163,7 @@ impl View {
     }
 
     fn albedo(&self, estimate: &Estimate) -> Image {
-        let scene = Scene::new(&estimate.mesh);
+        let scene = RayScene::new(&estimate.mesh);
         let eye = self.viewpoint.world_from_camera.translation.as_vec3();
         pixels()
             .map(|[x, y]| {

@@ -97,7 +97,7 @@ pub fn scan(mesh: Mesh, views: usize, distance: f64, pixel: fn(u32, u32) -> [u8;
 #[must_use]
 pub fn lit(mesh: Mesh, poses: &[Pose], light: impl Fn(usize) -> Vec3) -> Scan {
     let camera = Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5 };
-    let scene = estimator::rays::Scene::new(&mesh);
+    let scene = estimator::rays::RayScene::new(&mesh);
     let colors: Vec<Vec3> = (0..mesh.positions.len()).map(light).collect();
     let brightest = colors.iter().map(|c| c.max_element()).fold(0.0, f32::max);
     let picture = |pose: &Pose| -> Vec<u8> {

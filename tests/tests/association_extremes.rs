@@ -3,7 +3,7 @@
 use estimator::Progress;
 use estimator::association::{Association, associate};
 use estimator::mesh::regularise;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::segmentation;
 use firmware_config::EstimatorConfig;
 use glam::{DQuat, DVec3, Vec3};
@@ -53,7 +53,7 @@ fn keyframe(height: f64, shift: f64, pixel: impl Fn(u32, u32) -> [u8; 3]) -> Key
 
 fn run(mesh: &Mesh, keyframes: &[Keyframe]) -> (Association, Vec<u32>) {
     let config = EstimatorConfig::default();
-    let scene = Scene::new(mesh);
+    let scene = RayScene::new(mesh);
     let found = associate(mesh, &scene, keyframes, &Response::Srgb, &config, &Silent);
     let segment = segmentation::segment(mesh, &scene, &found.lit_color, &found.lit_weight, &config);
     let n = mesh.positions.len();
@@ -105,7 +105,7 @@ fn exposures_far_apart_are_found() {
     let bright = keyframe(1.0, 0.0, |x, y| [shade(x, y) * 4; 3]);
     let dark = keyframe(1.0, 0.0, |x, y| [shade(x, y); 3]);
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let found = associate(&mesh, &scene, &[bright, dark], &Response::Linear, &config, &Silent);
     let ratio = found.views[0].gain[0] / found.views[1].gain[0];
     assert!((ratio / 4.0 - 1.0).abs() < 0.01, "{ratio}");
@@ -124,7 +124,7 @@ fn exposures_ten_thousand_to_one() {
     };
     let keyframes: Vec<Keyframe> = (0..15).map(|j| keyframe(1.0, 0.0, move |x, _| value(j, x))).collect();
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let found = associate(&mesh, &scene, &keyframes, &Response::Linear, &config, &Silent);
     let ratio = found.views[1].gain[1] / found.views[14].gain[1];
     let expected = libm::pow(FACTOR, 13.0);
@@ -158,7 +158,7 @@ fn single_vertices_and_bad_triangles() {
 fn a_step_of_colour_is_a_border_and_shading_is_none() {
     let mesh = square(60, 1.0);
     let seen = vec![1.0; mesh.positions.len()];
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let config = EstimatorConfig::default();
     // Brightness falls to a sixth across the square; the right half is of another colour.
     let shaded = |base: Vec3, p: Vec3| base * (1.0 - 0.83 * (p.y + 0.5));
@@ -181,7 +181,7 @@ fn unseen_vertices_take_the_nearest_segment() {
     let color: Vec<Vec3> =
         mesh.positions.iter().map(|p| if p.x > 0.0 { Vec3::new(0.6, 0.1, 0.1) } else { Vec3::splat(0.5) }).collect();
     let weight: Vec<f32> = mesh.positions.iter().map(|p| if p.y > 0.2 { 0.0 } else { 1.0 }).collect();
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let found = segmentation::segment(&mesh, &scene, &color, &weight, &EstimatorConfig::default());
     let top = |x: usize| found[39 * 40 + x];
     assert_eq!(top(5), found[5]);

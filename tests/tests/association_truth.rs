@@ -8,7 +8,7 @@ use estimator::Progress;
 use estimator::association::{Association, associate};
 use estimator::estimate;
 use estimator::mesh::regularise;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::segmentation;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::Vec3;
@@ -38,7 +38,7 @@ fn run(shared: &Path, name: &str) -> Outcome {
     let config = EstimatorConfig::default();
     let mesh = regularise::regularise(&scan.mesh, &config, scan.source);
     assert_eq!(mesh.positions, truth.mesh.positions, "an imported mesh keeps its vertices");
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let association = associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &Silent);
     let segment = segmentation::segment(&mesh, &scene, &association.lit_color, &association.lit_weight, &config);
     Outcome { truth, scan, association, segment }
@@ -137,7 +137,7 @@ fn associated_colours_are_sharper_than_fused_ones() {
     let outcome = run(&shared, "bunny");
     let sharp = sharpness(&outcome.truth, &outcome.association.lit_color, &outcome.association.lit_weight);
     let config = EstimatorConfig { refine_poses: Switch::Off, exposure: ExposureChoice::None, ..Default::default() };
-    let scene = Scene::new(&outcome.truth.mesh);
+    let scene = RayScene::new(&outcome.truth.mesh);
     let (keyframes, response) = (&outcome.scan.keyframes, &outcome.scan.sensor.response);
     let given = associate(&outcome.truth.mesh, &scene, keyframes, response, &config, &Silent);
     let mut fused = vec![(Vec3::ZERO, 0.0); outcome.truth.mesh.positions.len()];

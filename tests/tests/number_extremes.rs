@@ -7,7 +7,7 @@ use estimator::factorisation::paper_solver::least_squares;
 use estimator::factorisation::robust_solver::{self, Observed, Solution};
 use estimator::numerics::random::{CosineDirections, hash, unit};
 use estimator::numerics::sh;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::transfer::{self, Transfer};
 use glam::{DQuat, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
@@ -178,7 +178,7 @@ fn the_pipeline_turns_with_the_scene() {
     let light: Vec<f64> = (0..k).map(|i| if i == 0 { 3.0 } else { f64::from(unit(hash(i as u32, 9))) - 0.5 }).collect();
     // Rays are those of the scene at rest, turned with it.
     let rays = CosineDirections::new(64, 1);
-    let visible = Scene::new(&still);
+    let visible = RayScene::new(&still);
     let rows = |rotation: DQuat| -> Vec<Vec<f64>> {
         (0..still.positions.len())
             .map(|i| {
@@ -224,7 +224,7 @@ fn the_pipeline_turns_with_the_scene() {
 #[test]
 fn transfer_in_single_precision_is_that_in_double() {
     let mesh = joined(&[globe(12, 0.5, 1.0), sheet(12, Vec3::new(-1.0, -1.0, -0.5), Vec3::X * 2.0, Vec3::Y * 2.0)]);
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let traced = transfer::trace(&mesh, &scene, 9, 64, 1, &|_| ());
     let directions = CosineDirections::new(64, 1);
     let mut checked = 0;
@@ -287,7 +287,7 @@ fn solving_in_single_precision_is_that_in_double() {
 #[test]
 fn bounces_are_accelerated() {
     let mesh = globe(12, 1.0, -1.0);
-    let mut traced = transfer::trace(&mesh, &Scene::new(&mesh), 1, 64, 1, &|_| ());
+    let mut traced = transfer::trace(&mesh, &RayScene::new(&mesh), 1, 64, 1, &|_| ());
     traced.direct.fill(1.0);
     let white = vec![Vec3::splat(0.999); mesh.positions.len()];
     let fast = transfer::bounce(&traced, &white, 0);

@@ -2,7 +2,7 @@
 
 use estimator::factorisation::{Colors, Factorised, Settings, factorise};
 use estimator::numerics::random::{hash, unit};
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::transfer::{self, Traced, Transfer};
 use firmware_config::SolverChoice;
 use glam::Vec3;
@@ -45,7 +45,7 @@ fn transfer_is_that_of_the_reference() {
     let Some(shared) = shared() else { return };
     for name in ["ball", "bunny", "fruits"] {
         let truth = Truth::read(&shared, name);
-        let scene = Scene::new(&truth.mesh);
+        let scene = RayScene::new(&truth.mesh);
         let reference = truth.transfer();
         let open = transfer::unoccluded(&truth.mesh, BANDS);
         let (mut off, mut size) = (0.0, 0.0);
@@ -67,7 +67,7 @@ fn transfer_is_that_of_the_reference() {
 fn many_rays(name: &str) {
     let Some(shared) = shared() else { return };
     let truth = Truth::read(&shared, name);
-    let scene = Scene::new(&truth.mesh);
+    let scene = RayScene::new(&truth.mesh);
     let [shade, gi, stated] = transfer_error(&truth, transfer::trace(&truth.mesh, &scene, BANDS, 4096, 1, &|_| ()));
     println!("{name}: 4096 rays: shade {shade:.5}, gi {gi:.5}, stated {stated:.5}");
     assert!(shade < 0.006 && gi < 0.01, "{name}: shade {shade}, gi {gi}");
@@ -87,7 +87,7 @@ fn many_rays_converge_on_larger_meshes() {
 
 /// True lit colours with 3 % noise, true materials as segments.
 fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factorised {
-    let scene = Scene::new(&truth.mesh);
+    let scene = RayScene::new(&truth.mesh);
     let traced = if diffuse {
         transfer::unoccluded(&truth.mesh, BANDS)
     } else {

@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::kinect::transport::{Found, UsbError};
 use crate::memory;
 use crate::sources::sensor;
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
 use firmware_config::{Config, memory_plan};
 use glam::Vec3;
@@ -264,7 +264,7 @@ fn memory_finding(config: &Config) -> Finding {
 /// How fast rays are traced, and what that means for a usual scan.
 fn speed() -> Finding {
     let mesh = bumpy_plane(140);
-    let scene = Scene::new(&mesh);
+    let scene = RayScene::new(&mesh);
     let began = Instant::now();
     let mut hits = 0u32;
     for i in 0..RAYS {

@@ -7,7 +7,7 @@ use crate::commands::use_threads;
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
 use clap::{Args, ValueEnum};
-use estimator::rays::Scene;
+use estimator::rays::RayScene;
 use estimator::render::RealityError;
 use estimator::render::change::{Changed, change};
 use estimator::render::compose::{Viewpoint, compose, model};
@@ -157,7 +157,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let light_frames = lights.as_ref().map_or(Some(1), Lights::count);
     check_frames(&sink, views.len(), light_frames)?;
 
-    let scene = Scene::new(&estimate.mesh);
+    let scene = RayScene::new(&estimate.mesh);
     if views.iter().all(|v| !sees(&v.viewpoint, &scene)) {
         return Err(Failure::Usage("the view looks away from the scan: nothing of it would be in the picture".into()));
     }
@@ -243,7 +243,7 @@ fn objects(args: &Render, estimate: &Estimate, mesh: &Mesh, view: &Viewpoint) ->
     if args.insert.is_empty() {
         return Ok(objects);
     }
-    let scene = Scene::new(mesh);
+    let scene = RayScene::new(mesh);
     for insert in &args.insert {
         let (mut object, odd) = load_object(insert, view, mesh, &scene)?;
         for o in odd {
@@ -257,7 +257,7 @@ fn objects(args: &Render, estimate: &Estimate, mesh: &Mesh, view: &Viewpoint) ->
     Ok(objects)
 }
 
-fn gone(args: &Render, estimate: &Estimate, scene: &Scene, view: &Viewpoint) -> Result<Vec<bool>, Failure> {
+fn gone(args: &Render, estimate: &Estimate, scene: &RayScene, view: &Viewpoint) -> Result<Vec<bool>, Failure> {
     let removals: Vec<Removal> = args
         .remove
         .iter()

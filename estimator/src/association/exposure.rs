@@ -5,7 +5,7 @@
 //! Each patch says how the keyframes differ over it, and the gains are those that most of the patches agree on.
 
 use crate::association::{LightField, Observation};
-use crate::numerics::robust::{median, weighted_median};
+use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
 use firmware_config::ExposureChoice;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -167,7 +167,7 @@ impl Patch {
             .collect();
         let centre: [f64; 3] = std::array::from_fn(|c| {
             let mut values: Vec<(f64, f64)> = relative.iter().zip(&self.weights).map(|(r, &w)| (r[c], w)).collect();
-            weighted_median(&mut values)
+            weighted_median(&mut values).unwrap_or(0.0)
         });
         relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
     }
@@ -199,7 +199,7 @@ fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3
                 mean_square(&std::array::from_fn(|c| e.log[c] - v[c] - k[c])).sqrt()
             };
             let residuals: Vec<f64> = entries.iter().map(residual).collect();
-            let bound = 1.5 * 1.4826 * median(residuals.clone()).max(1e-4);
+            let bound = 1.5 * SIGMA_PER_MAD * median(residuals.iter().copied()).unwrap_or(0.0).max(1e-4);
             for ((w, e), r) in robust.iter_mut().zip(entries).zip(residuals) {
                 *w = e.weight * (bound / r.max(bound));
             }

@@ -1,43 +1,28 @@
-//! A keyframe's picture, undistorted, and its linear samples.
+//! A keyframe's image without lens distortion, and linear samples of it.
 
-use recordings::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Response};
+use recordings::types::{CameraModel, ColorFrame, Intrinsics};
 
-/// Linear light (0..1) of every 8-bit value.
-pub fn linear_table(response: &Response) -> [f32; 256] {
-    std::array::from_fn(|i| {
-        let v = i as f64 / 255.0;
-        let light = match *response {
-            Response::Srgb if v <= 0.04045 => v / 12.92,
-            Response::Srgb => libm::pow((v + 0.055) / 1.055, 2.4),
-            Response::Linear => v,
-            Response::Gamma(gamma) => libm::pow(v, gamma),
-        };
-        light as f32
-    })
-}
-
-/// An 8-bit picture as an ideal pinhole camera would have taken it. Pixels that the lens does not show are white, and
-/// so count as clipped.
-pub struct Picture {
+/// An 8-bit RGB image of an ideal pinhole camera. Pixels outside the distorted image are white and so count as clipped.
+pub struct KeyframeImage {
     /// The pinhole camera.
     pub camera: Intrinsics,
-    /// `3 * width * height` bytes, interleaved.
+    /// Row-major interleaved RGB: `[3 * width * height]`.
     pub data: Vec<u8>,
 }
 
-/// A sample of a picture over a small window.
+/// A weighted mean over a small window of an image.
 #[derive(Debug, Clone, Copy)]
-pub struct Sample {
-    /// Mean linear light.
+pub struct WindowSample {
+    /// Mean linear RGB.
     pub color: [f32; 3],
     /// Brightest 8-bit value of any channel in the window.
     pub brightest: u8,
-    /// Number of independent pixels that the mean is worth.
+    /// Effective number of independent pixels, (Σ w)² / Σ w².
     pub pixels: f32,
 }
 
-impl Picture {
-    /// Decodes and undistorts. `None` where the picture is damaged or not of the camera's size.
+impl KeyframeImage {
+    /// Decodes and undistorts a frame. `None` if the frame is damaged or its size differs from the camera's.
     pub fn new(frame: &ColorFrame, camera: &CameraModel) -> Option<Self> {
         let image = frame.decode().ok()?;
         let k = camera.intrinsics;
@@ -49,7 +34,7 @@ impl Picture {
         if !finite {
             return None;
         }
-        let data = if camera.distortion == Distortion::default() { image.data } else { undistort(&image.data, camera) };
+        let data = if camera.distortion.is_none() { image.data } else { undistort(&image.data, camera) };
         Some(Self { camera: k, data })
     }
 
@@ -59,9 +44,9 @@ impl Picture {
         [self.data[i], self.data[i + 1], self.data[i + 2]]
     }
 
-    /// Mean over a tent of half width `radius >= 1` pixels about (u, v); radius 1 is bilinear interpolation. `None`
-    /// where the window leaves the picture.
-    pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<Sample> {
+    /// Mean under a tent filter of half width `radius >= 1` pixels about (u, v); radius 1 is bilinear interpolation.
+    /// `table` maps 8-bit values to linear light. `None` if the window leaves the image.
+    pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<WindowSample> {
         let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let (left, top) = ((u - radius).ceil(), (v - radius).ceil());
         let (right, bottom) = ((u + radius).floor(), (v + radius).floor());
@@ -87,18 +72,19 @@ impl Picture {
                 squares += weight * weight;
             }
         }
-        (total > 0.0).then(|| Sample { color: sum.map(|s| s / total), brightest, pixels: total * total / squares })
+        (total > 0.0).then(|| WindowSample {
+            color: sum.map(|s| s / total),
+            brightest,
+            pixels: total * total / squares,
+        })
     }
 }
 
-/// Where the lens puts a pixel of the ideal pinhole camera; `None` where that is outside the picture.
+/// Position (u, v) in the distorted image of pixel (x, y) of the ideal pinhole camera; `None` outside the image.
 pub fn distorted(camera: &CameraModel, x: usize, y: usize) -> Option<(f64, f64)> {
-    let (k, d) = (camera.intrinsics, camera.distortion);
-    let (a, b) = ((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy);
-    let r2 = a * a + b * b;
-    let radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3));
-    let u = k.fx * (a * radial + 2.0 * d.p1 * a * b + d.p2 * (r2 + 2.0 * a * a)) + k.cx;
-    let v = k.fy * (b * radial + d.p1 * (r2 + 2.0 * b * b) + 2.0 * d.p2 * a * b) + k.cy;
+    let k = camera.intrinsics;
+    let (a, b) = camera.distortion.distort((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy);
+    let (u, v) = (k.fx * a + k.cx, k.fy * b + k.cy);
     let (width, height) = (f64::from(k.width), f64::from(k.height));
     (u >= 0.0 && v >= 0.0 && u < width - 1.0 && v < height - 1.0).then_some((u, v))
 }
@@ -116,7 +102,7 @@ fn undistort(source: &[u8], camera: &CameraModel) -> Vec<u8> {
                 let corners = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
                 let mean = (corners[0] * (1.0 - fu) + corners[1] * fu) * (1.0 - fv)
                     + (corners[2] * (1.0 - fu) + corners[3] * fu) * fv;
-                // A clipped value keeps its neighbours clipped.
+                // Interpolating with a clipped value gives a clipped value.
                 let clipped = corners.iter().any(|&v| v >= 254.5);
                 out[3 * (y * w + x) + c] = if clipped { 255 } else { mean.round() as u8 };
             }

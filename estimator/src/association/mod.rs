@@ -8,11 +8,11 @@ pub mod predicted_image;
 pub mod response;
 
 use crate::api::Progress;
-use crate::association::keyframe_image::{Picture, linear_table};
+use crate::association::keyframe_image::KeyframeImage;
 use crate::mesh::graph::{Graph, vertex_spacing};
 use crate::mesh::raster::{MISS, Raster, camera_positions, triangle_normals};
-use crate::numerics::robust::weighted_median;
-use crate::rays::Scene;
+use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
+use crate::rays::RayScene;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -132,7 +132,13 @@ pub struct Setting<'a> {
 impl<'a> Setting<'a> {
     /// For pictures of this response on this mesh.
     #[must_use]
-    pub fn new(mesh: &'a Mesh, graph: &'a Graph, scene: &Scene, response: &Response, config: &EstimatorConfig) -> Self {
+    pub fn new(
+        mesh: &'a Mesh,
+        graph: &'a Graph,
+        scene: &RayScene,
+        response: &Response,
+        config: &EstimatorConfig,
+    ) -> Self {
         let edge = scene.median_edge();
         Self {
             mesh,
@@ -140,14 +146,14 @@ impl<'a> Setting<'a> {
             spacing: vertex_spacing(mesh, graph, edge),
             triangle_normals: triangle_normals(mesh),
             near: f64::from(edge) * 0.1,
-            table: linear_table(response),
+            table: response.linear_table(),
             clipped: config.clipped_from.min(255) as u8,
         }
     }
 
     /// What one picture alone says of every vertex, and how much it is to be trusted; 0 = not seen.
     #[must_use]
-    pub fn colors_of(&self, picture: &Picture, pose: &Pose, config: &EstimatorConfig) -> (Vec<Vec3>, Vec<f32>) {
+    pub fn colors_of(&self, picture: &KeyframeImage, pose: &Pose, config: &EstimatorConfig) -> (Vec<Vec3>, Vec<f32>) {
         let last = Rules::new(config, 1.0);
         let seen = observe(self, picture, pose, 0, &last, Some(last.last_resort()));
         let mut colors = vec![Vec3::ZERO; self.mesh.positions.len()];
@@ -200,7 +206,7 @@ impl Rules {
 /// Runs data association (Eqs. 2–5) until it is done.
 pub fn associate(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     keyframes: &[Keyframe],
     response: &Response,
     config: &EstimatorConfig,
@@ -223,20 +229,20 @@ pub struct Effort<'a> {
 /// Runs data association (Eqs. 2–5) with so much effort.
 pub fn associate_within(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     keyframes: &[Keyframe],
     response: &Response,
     config: &EstimatorConfig,
     progress: &dyn Progress,
     effort: Effort,
 ) -> Association {
-    let graph = Graph::new(mesh);
+    let graph = Graph::of(mesh);
     let edge = scene.median_edge();
     let setting = Setting::new(mesh, &graph, scene, response, config);
-    let pictures: Vec<Option<Picture>> = keyframes
+    let pictures: Vec<Option<KeyframeImage>> = keyframes
         .par_iter()
         .enumerate()
-        .map(|(j, k)| if j % effort.stride == 0 { Picture::new(&k.color, &k.camera) } else { None })
+        .map(|(j, k)| if j % effort.stride == 0 { KeyframeImage::new(&k.color, &k.camera) } else { None })
         .collect();
     let mut views: Vec<View> = keyframes
         .iter()
@@ -306,7 +312,7 @@ impl LightField {
     /// Observations under `rules`; a vertex that has none but poor ones keeps those.
     fn gather(
         setting: &Setting,
-        pictures: &[Option<Picture>],
+        pictures: &[Option<KeyframeImage>],
         views: &[View],
         rules: &Rules,
         last_resort: Option<Rules>,
@@ -376,23 +382,16 @@ impl LightField {
         let rows = self.offsets.len() - 1;
         // A few thousand vertices tell the scale.
         let stride = (rows / 4000).max(1);
-        let mut deviations: Vec<f32> = (0..rows)
-            .step_by(stride)
-            .flat_map(|i| {
-                let row = &self.observations[self.offsets[i] as usize..self.offsets[i + 1] as usize];
-                let median = median_color(row, factors);
-                let many = row.len() >= 3;
-                row.iter()
-                    .filter(move |_| many)
-                    .map(move |o| deviation(o, factors, median) * o.weight.sqrt())
-                    .collect::<Vec<f32>>()
-            })
-            .collect();
-        if deviations.is_empty() {
-            return 1e-3;
-        }
-        let middle = deviations.len() / 2;
-        (1.4826 * *deviations.select_nth_unstable_by(middle, f32::total_cmp).1).max(1e-4)
+        let deviations = (0..rows).step_by(stride).flat_map(|i| {
+            let row = &self.observations[self.offsets[i] as usize..self.offsets[i + 1] as usize];
+            let middle = median_color(row, factors);
+            let many = row.len() >= 3;
+            row.iter()
+                .filter(move |_| many)
+                .map(move |o| deviation(o, factors, middle) * o.weight.sqrt())
+                .collect::<Vec<f32>>()
+        });
+        median(deviations).map_or(1e-3, |m| (SIGMA_PER_MAD as f32 * m).max(1e-4))
     }
 }
 
@@ -411,7 +410,7 @@ fn median_color(row: &[Observation], factors: &[[f32; 3]]) -> Vec3 {
             row.iter()
                 .map(|o| (f64::from(o.color[c] * factors[o.keyframe as usize][c]), f64::from(o.weight.max(1e-6)))),
         );
-        weighted_median(&mut values) as f32
+        weighted_median(&mut values).unwrap_or(0.0) as f32
     });
     Vec3::from_array(channels)
 }
@@ -456,7 +455,7 @@ const POOR: f32 = 0.02;
 /// All observations of one keyframe (Eqs. 3 and 4).
 fn observe(
     setting: &Setting,
-    picture: &Picture,
+    picture: &KeyframeImage,
     pose: &Pose,
     keyframe: u16,
     rules: &Rules,

@@ -1,10 +1,11 @@
 //! Pose refinement by Lucas–Kanade against the re-rendered keyframe: all poses against common lit colours, each
 //! keyframe against colours that it had no part in.
 
-use crate::association::keyframe_image::Picture;
+use crate::association::keyframe_image::KeyframeImage;
 use crate::association::predicted_image::{Plate, Template};
 use crate::association::{LightField, LitColors, Setting, View};
-use glam::{DQuat, DVec3, Vec3};
+use crate::numerics::robust::median;
+use glam::{DVec3, Vec3};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 use recordings::result::Decision;
@@ -59,7 +60,7 @@ impl Tracker {
     pub fn step(
         &mut self,
         setting: &Setting,
-        pictures: &[Option<Picture>],
+        pictures: &[Option<KeyframeImage>],
         field: &LightField,
         lit: &LitColors,
         views: &mut [View],
@@ -137,7 +138,7 @@ impl Tracker {
 
 /// The pose from which a picture that had no part in these lit colours shows them best, starting at the view's.
 #[must_use]
-pub fn located(setting: &Setting, picture: &Picture, color: &[Vec3], weight: &[f32], view: &View) -> Pose {
+pub fn located(setting: &Setting, picture: &KeyframeImage, color: &[Vec3], weight: &[f32], view: &View) -> Pose {
     let colors = fill(setting, color, weight);
     let mut found = *view;
     let mut moved = Vector6::zeros();
@@ -202,7 +203,7 @@ struct EdgePixel {
 
 fn align(
     setting: &Setting,
-    picture: &Picture,
+    picture: &KeyframeImage,
     colors: &[Vec3],
     view: &View,
     moved: &Vector6,
@@ -274,7 +275,7 @@ fn align(
         if dx.iter().any(|x| !x.is_finite()) {
             return None;
         }
-        delta = exp(&dx).compose(&delta);
+        delta = Pose::exp(DVec3::new(dx[0], dx[1], dx[2]), DVec3::new(dx[3], dx[4], dx[5])).compose(&delta);
         moved_now += dx;
         squares = (dx.transpose() * steepness * dx)[0] / pixels.len() as f64;
         if squares.sqrt() < SETTLED_PX {
@@ -328,7 +329,7 @@ fn edge_pixels(template: &Template) -> Vec<EdgePixel> {
     pixels
 }
 
-/// Picture minus template at an edge pixel's point under `delta`; `None` outside the picture or where it is clipped.
+/// KeyframeImage minus template at an edge pixel's point under `delta`; `None` outside the picture or where it is clipped.
 fn residual(plate: &Plate, delta: &Pose, pixel: &EdgePixel) -> Option<Vec3> {
     let q = delta.transform(pixel.point);
     if q.z <= 0.0 {
@@ -348,17 +349,9 @@ fn jacobian(q: DVec3, fx: f64, fy: f64) -> (Vector6, Vector6) {
     )
 }
 
-fn exp(step: &Vector6) -> Pose {
-    Pose::new(DQuat::from_scaled_axis(DVec3::new(step[0], step[1], step[2])), DVec3::new(step[3], step[4], step[5]))
-}
-
 fn robust_scale(residuals: &[f32]) -> Option<f64> {
-    let mut values: Vec<f32> = residuals.iter().copied().filter(|r| !r.is_nan()).collect();
-    if values.len() < 50 {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(f64::from(*values.select_nth_unstable_by(middle, f32::total_cmp).1).max(1e-3))
+    let valid = residuals.iter().copied().filter(|r| !r.is_nan());
+    (valid.clone().count() >= 50).then(|| f64::from(median(valid).unwrap_or(0.0)).max(1e-3))
 }
 
 /// Mean Tukey loss; pixels without a residual count in full, so that leaving the picture is no gain.
@@ -374,7 +367,5 @@ fn tukey_cost(residuals: &[f32], scale: f64) -> f64 {
 }
 
 fn median_depth(pixels: &[EdgePixel]) -> f64 {
-    let mut depths: Vec<f64> = pixels.iter().map(|p| p.point.z).collect();
-    let middle = depths.len() / 2;
-    *depths.select_nth_unstable_by(middle, f64::total_cmp).1
+    median(pixels.iter().map(|p| p.point.z)).unwrap_or(0.0)
 }

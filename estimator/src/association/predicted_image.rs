@@ -1,7 +1,7 @@
 //! A keyframe as the lit colours predict it, beside the picture, at a chosen resolution. Both hold square roots of
 //! linear light: photon noise is the same at every brightness there.
 
-use crate::association::keyframe_image::Picture;
+use crate::association::keyframe_image::KeyframeImage;
 use crate::association::{Setting, View};
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
 use glam::Vec3;
@@ -21,7 +21,7 @@ pub struct Plate {
 
 impl Plate {
     /// Averages `1/level × 1/level` pixels into one (`level` 1, 1/2 or 1/4).
-    pub fn new(picture: &Picture, setting: &Setting, level: f64) -> Self {
+    pub fn new(picture: &KeyframeImage, setting: &Setting, level: f64) -> Self {
         let camera = scaled(&picture.camera, level);
         let step = (1.0 / level).round() as usize;
         let (w, h) = (camera.width as usize, camera.height as usize);

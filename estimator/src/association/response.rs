@@ -101,12 +101,14 @@ fn shared(association: &Association, response: &Response) -> Shared {
 fn change(shared: &Shared, response: &Response) -> f64 {
     let (mut sum, mut count) = (0.0, 0u32);
     for pairs in shared.values() {
-        let mut by_level: Vec<[f64; 2]> =
-            pairs.iter().map(|[a, b]| [a + b, libm::log(light(response, *b) / light(response, *a))]).collect();
+        let mut by_level: Vec<[f64; 2]> = pairs
+            .iter()
+            .map(|[a, b]| [a + b, libm::log(response.linear_from_value(*b) / response.linear_from_value(*a))])
+            .collect();
         by_level.sort_by(|a, b| a[0].total_cmp(&b[0]));
-        let whole = median(by_level.iter().map(|p| p[1]).collect());
+        let whole = median(by_level.iter().map(|p| p[1])).unwrap_or(0.0);
         for level in by_level.chunks(by_level.len().div_ceil(LEVELS)) {
-            let d = median(level.iter().map(|p| p[1]).collect()) / whole - 1.0;
+            let d = median(level.iter().map(|p| p[1])).unwrap_or(0.0) / whole - 1.0;
             if d.is_finite() {
                 sum += d * d;
                 count += 1;
@@ -116,25 +118,9 @@ fn change(shared: &Shared, response: &Response) -> f64 {
     (sum / f64::from(count.max(1))).sqrt()
 }
 
-/// Linear light of a value.
-fn light(response: &Response, v: f64) -> f64 {
-    match *response {
-        Response::Srgb if v <= 0.04045 => v / 12.92,
-        Response::Srgb => libm::pow((v + 0.055) / 1.055, 2.4),
-        Response::Linear => v,
-        Response::Gamma(gamma) => libm::pow(v, gamma),
-    }
-}
-
-/// Its inverse.
-fn value(response: &Response, light: f64) -> f64 {
-    let light = light.max(0.0);
-    match *response {
-        Response::Srgb if light <= 0.003_130_8 => light * 12.92,
-        Response::Srgb => 1.055 * libm::pow(light, 1.0 / 2.4) - 0.055,
-        Response::Linear => light,
-        Response::Gamma(gamma) => libm::pow(light, 1.0 / gamma),
-    }
+/// Encoded value of linear light; 0 for negative light.
+fn value(response: &Response, linear: f64) -> f64 {
+    response.value_from_linear(linear.max(0.0))
 }
 
 #[cfg(test)]
@@ -152,9 +138,9 @@ mod tests {
         let gain = |c: usize| {
             // What Eq. (5) finds: a median of ratios.
             let shades = (0..n).map(|i| (i as f64 + 0.5) / f64::from(n));
-            let l = |x: f64| light(&stated, value(&real, x));
+            let l = |x: f64| stated.linear_from_value(value(&real, x));
             let ratios = shades.map(|s| l(0.5 * s) / l(0.5 * s / ratio));
-            median(ratios.collect()) * [1.0, 1.02, 0.97][c]
+            median(ratios).unwrap_or(0.0) * [1.0, 1.02, 0.97][c]
         };
         let gains = [[1.0; 3], [gain(0), gain(1), gain(2)]];
         for i in 0..n {
@@ -163,7 +149,7 @@ mod tests {
                 let color = [0, 1, 2].map(|c| {
                     let white = if k == 0 { 1.0 } else { [1.0, 1.02, 0.97][c] };
                     let noise = 0.004 * (f64::from((i * 37 + c as i32 * 11 + k as i32 * 5) % 17) / 8.0 - 1.0);
-                    (light(&stated, value(&real, shade * exposure * white) + noise) / gains[k][c]) as f32
+                    (stated.linear_from_value(value(&real, shade * exposure * white) + noise) / gains[k][c]) as f32
                 });
                 observations.push(Observation { vertex: i as u32, keyframe: k as u16, color, weight: 1.0 });
             }

@@ -2,7 +2,7 @@
 //! pictures in one file.
 
 use crate::export::picture::encode_rgb;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::transfer::{Transfer, bounce, trace};
 use glam::Vec3;
 use recordings::result::Estimate;
@@ -132,7 +132,7 @@ fn display_gain(result: &Estimate) -> f32 {
 
 /// Transfer (Eq. 8, gi, mean of the channels) in signed bytes, `[vertex][16]`, and the value of 127 per coefficient.
 fn transfer(result: &Estimate) -> (Vec<u8>, [f32; COEFFICIENTS]) {
-    let scene = Scene::new(&result.mesh);
+    let scene = RayScene::new(&result.mesh);
     let traced = trace(&result.mesh, &scene, BANDS, RAYS, 1, &|_| {});
     let bounced = Some(bounce(&traced, &result.albedo, 0));
     let transfer = Transfer { traced: traced.into(), bounced };

@@ -1,6 +1,6 @@
 //! Albedo in detail: the segments' albedo refined per vertex where light and colours tell more.
 
-use crate::numerics::robust::median;
+use crate::numerics::robust::{median, robust_sigma};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -85,7 +85,7 @@ fn spreads(known: &Known, logs: &[Option<[f64; 3]>], segments: usize) -> Vec<f64
             off.push((log[0].abs() + log[1].abs() + log[2].abs()) / 3.0);
         }
     }
-    off.into_iter().map(|values| 1.4826 * median(values)).collect()
+    off.into_iter().map(robust_sigma).collect()
 }
 
 /// Median irradiance of each segment, summed over channels.
@@ -96,5 +96,5 @@ fn medians(known: &Known, segments: usize) -> Vec<f64> {
             all.push(f64::from(e.element_sum()));
         }
     }
-    all.into_iter().map(median).collect()
+    all.into_iter().map(|values| median(values).unwrap_or(0.0)).collect()
 }

@@ -5,7 +5,7 @@
 
 use crate::factorisation::SCALE_SHARE;
 use crate::numerics::random::hash;
-use crate::numerics::robust::median;
+use crate::numerics::robust::{median, robust_sigma};
 use crate::numerics::sh;
 use crate::transfer::Transfer;
 use glam::Vec3;
@@ -274,12 +274,12 @@ fn solve_channel(
     let color = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize][channel]);
     let mut medians = vec![0.0; observed.segments];
     for group in votes.chunk_by(|a, b| a.segment == b.segment) {
-        medians[group[0].segment as usize] = median(group.iter().map(color).collect());
+        medians[group[0].segment as usize] = median(group.iter().map(color)).unwrap_or(0.0);
     }
     // A channel that is dark everywhere is measured against the others: its own size would be a division by nothing.
     let brightest = |v: &Vote| f64::from(observed.lit_color[v.vertex as usize].max_element());
-    let least = DARK_CHANNEL * median(votes.iter().map(brightest).collect());
-    let overall = median(votes.iter().map(color).collect()).max(least).max(1e-30);
+    let least = DARK_CHANNEL * median(votes.iter().map(brightest)).unwrap_or(0.0);
+    let overall = median(votes.iter().map(color)).unwrap_or(0.0).max(least).max(1e-30);
     // Relative weights: a lit colour errs in proportion to itself, and by gloss in proportion to its light.
     let relative = |v: &Vote, predicted: f64, gloss: &[f64]| {
         let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
@@ -321,7 +321,7 @@ fn solve_channel(
             let size = |v: &Vote, p: f64| p.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
             let off: Vec<f64> =
                 votes.iter().zip(&predicted).map(|(v, p)| ((color(v) - p) / size(v, *p)).abs()).collect();
-            let sigma = 1.4826 * median(off.clone()) + 1e-9;
+            let sigma = robust_sigma(off.iter().copied()) + 1e-9;
             let gloss = unknown_gloss(&state.albedo, votes);
             for ((w, v), (p, r)) in weights.iter_mut().zip(votes).zip(predicted.iter().zip(&off)) {
                 *w = relative(v, *p, &gloss) * (HUBER * sigma / r.max(HUBER * sigma));

@@ -1,22 +1,25 @@
-//! The mesh as a graph: which vertices share an edge.
+//! The mesh as a graph: vertices that share a triangle edge are neighbours.
 
 use recordings::types::Mesh;
 
-/// Vertex neighbours in compressed rows, ascending within a row.
+/// Vertex adjacency in compressed sparse rows, ascending within a row.
+#[derive(Debug)]
 pub struct Graph {
-    /// Row starts, one more than there are vertices.
+    /// Row starts in `targets`: `[vertex + 1]`.
     pub offsets: Vec<u32>,
-    /// Neighbours.
+    /// Neighbours of all vertices: `[directed edge]`.
     pub targets: Vec<u32>,
 }
 
 impl Graph {
-    /// Edges of all triangles, each once.
-    pub fn new(mesh: &Mesh) -> Self {
-        let n = mesh.positions.len();
+    /// The edges of `triangles` over `vertices` vertices, each once in both directions; edges from a vertex to itself are
+    /// dropped.
+    #[must_use]
+    pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
+        let n = vertices;
         let mut offsets = vec![0_u32; n + 1];
         let directed = |visit: &mut dyn FnMut(u32, u32)| {
-            for &[a, b, c] in &mesh.triangles {
+            for &[a, b, c] in triangles {
                 for (p, q) in [(a, b), (b, c), (c, a)] {
                     if p != q {
                         visit(p, q);
@@ -35,7 +38,7 @@ impl Graph {
             targets[cursor[p as usize] as usize] = q;
             cursor[p as usize] += 1;
         });
-        // An inner edge stands twice in both its rows: sort and keep one.
+        // Two triangles list an inner edge twice in both its rows: sort and keep one.
         let mut kept = 0;
         let mut start = 0;
         for i in 0..n {
@@ -55,7 +58,14 @@ impl Graph {
         Self { offsets, targets }
     }
 
+    /// The adjacency of a mesh.
+    #[must_use]
+    pub fn of(mesh: &Mesh) -> Self {
+        Self::new(mesh.positions.len(), &mesh.triangles)
+    }
+
     /// Neighbours of vertex `i`.
+    #[must_use]
     pub fn neighbours(&self, i: usize) -> &[u32] {
         &self.targets[self.offsets[i] as usize..self.offsets[i + 1] as usize]
     }
@@ -66,12 +76,48 @@ impl Graph {
     }
 
     /// Number of vertices.
+    #[must_use]
     pub fn vertices(&self) -> usize {
         self.offsets.len() - 1
     }
+
+    /// The unvisited vertices connected to `start` through unvisited ones, breadth first; marks them as visited.
+    pub fn component(&self, start: usize, visited: &mut [bool]) -> Vec<usize> {
+        let mut list = vec![start];
+        visited[start] = true;
+        let mut next = 0;
+        while next < list.len() {
+            for &n in self.neighbours(list[next]) {
+                if !visited[n as usize] {
+                    visited[n as usize] = true;
+                    list.push(n as usize);
+                }
+            }
+            next += 1;
+        }
+        list
+    }
+
+    /// Marks every vertex connected to `start` through vertices for which `passable` holds: `[vertex]`.
+    #[must_use]
+    pub fn flood(&self, start: usize, passable: impl Fn(usize) -> bool) -> Vec<bool> {
+        let mut inside = vec![false; self.vertices()];
+        let mut open = vec![start];
+        inside[start] = true;
+        while let Some(v) = open.pop() {
+            for &n in self.neighbours(v) {
+                if !inside[n as usize] && passable(n as usize) {
+                    inside[n as usize] = true;
+                    open.push(n as usize);
+                }
+            }
+        }
+        inside
+    }
 }
 
-/// Mean edge length at every vertex; `fallback` where it has no edge.
+/// Mean edge length at every vertex in the mesh's units, `[vertex]`; `fallback` where it has no edge.
+#[must_use]
 pub fn vertex_spacing(mesh: &Mesh, graph: &Graph, fallback: f32) -> Vec<f32> {
     (0..graph.vertices())
         .map(|i| {
@@ -95,7 +141,7 @@ mod tests {
             normals: vec![],
             triangles: vec![[0, 1, 2], [2, 1, 3], [0, 0, 1]],
         };
-        let graph = Graph::new(&mesh);
+        let graph = Graph::of(&mesh);
         let rows: Vec<&[u32]> = (0..5).map(|i| graph.neighbours(i)).collect();
         assert_eq!(rows, [&[1, 2][..], &[0, 2, 3], &[0, 1, 3], &[1, 2], &[]]);
         assert_eq!(vertex_spacing(&mesh, &graph, 7.0)[4], 7.0);

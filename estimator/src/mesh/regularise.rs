@@ -2,7 +2,8 @@
 //! from depth, edges of about one length.
 
 use crate::mesh::surface::Surface;
-use crate::rays::{Hit, Scene};
+use crate::numerics::robust::median;
+use crate::rays::{Hit, RayScene};
 use firmware_config::EstimatorConfig;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -44,7 +45,7 @@ pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> 
     }
     let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
     let affordable = edge_for(area(&clean), config.max_vertices);
-    let target = (config.regularise as f32 * median(edge_lengths(&clean))).max(affordable);
+    let target = (config.regularise as f32 * median(edge_lengths(&clean)).unwrap_or(0.0)).max(affordable);
     let wanted = vertices_for(area(&clean), target);
     let clean = if clean.positions.len() as f64 > FAR_FINER * wanted {
         coarsened(&clean, (CLUSTERED * wanted) as usize)
@@ -95,7 +96,7 @@ pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
 }
 
 fn remesh(mesh: &Mesh, target: f32) -> Mesh {
-    let scene = Scene::new(mesh);
+    let scene = RayScene::new(mesh);
     let limit = GROWTH * mesh.positions.len() + 1000;
     let wanted = vertices_for(area(mesh), target).min(limit as f64);
     let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
@@ -150,7 +151,7 @@ fn area(mesh: &Mesh) -> f64 {
 }
 
 /// The input surface along the normal, at most half a target edge away and facing the same way.
-fn project(mesh: &Mesh, scene: &Scene, p: Vec3, normal: Vec3, target: f32) -> Option<(Vec3, Hit)> {
+fn project(mesh: &Mesh, scene: &RayScene, p: Vec3, normal: Vec3, target: f32) -> Option<(Vec3, Hit)> {
     if normal == Vec3::ZERO {
         return None;
     }
@@ -215,7 +216,7 @@ fn area_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
 
 /// Vertices that coincide become one; vertices without a triangle go.
 fn welded(mesh: &Mesh) -> Mesh {
-    let cell = WELD * median(edge_lengths(mesh));
+    let cell = WELD * median(edge_lengths(mesh)).unwrap_or(0.0);
     if !(cell > 0.0 && cell.is_finite()) {
         return mesh.clone();
     }
@@ -283,14 +284,6 @@ fn edge_lengths(mesh: &Mesh) -> Vec<f32> {
     mesh.triangles.iter().flat_map(|t| [length(t[0], t[1]), length(t[1], t[2]), length(t[2], t[0])]).collect()
 }
 
-fn median(mut values: Vec<f32>) -> f32 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f32::total_cmp).1
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,7 +328,7 @@ mod tests {
         let globe = globe(60, 160);
         let mesh = regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion);
         assert_eq!(topology(&mesh), (2, 0), "a closed sphere stays one");
-        let target = median(edge_lengths(&globe));
+        let target = median(edge_lengths(&globe)).unwrap();
         let mut lengths = edge_lengths(&mesh);
         lengths.sort_by(f32::total_cmp);
         let (low, high) = (lengths[lengths.len() / 50], lengths[lengths.len() - lengths.len() / 50]);

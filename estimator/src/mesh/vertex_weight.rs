@@ -13,7 +13,7 @@ const TROUBLED: f32 = 0.05;
 /// Weight of every vertex in the light's equations: 1, or little near a rim or crease.
 #[must_use]
 pub fn trust(mesh: &Mesh) -> Vec<f32> {
-    let graph = Graph::new(mesh);
+    let graph = Graph::of(mesh);
     let mut troubled: Vec<bool> = (0..graph.vertices())
         .map(|i| graph.neighbours(i).iter().any(|&j| mesh.normals[i].dot(mesh.normals[j as usize]) < CREASE))
         .collect();

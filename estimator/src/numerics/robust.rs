@@ -1,49 +1,74 @@
-//! Medians, and what a difference over many parts says.
+//! Robust statistics: medians, and the mean of samples with its standard error.
 
-/// The middle value; 0 of nothing.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
+/// Standard deviation of a normal distribution whose median absolute deviation is 1.
+pub const SIGMA_PER_MAD: f64 = 1.4826;
+
+/// The upper median: the element at index n/2 of the n sorted `values`. `None` where there are no values.
+///
+/// The order is IEEE 754's total order, so NaN sorts to the ends and the result is the same on every machine.
+pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Option<T> {
+    let mut values: Vec<T> = values.into_iter().collect();
     let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    let order = |a: &T, b: &T| Into::<f64>::into(*a).total_cmp(&Into::<f64>::into(*b));
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
 }
 
-/// The value at which half the weight lies below; `values` are (value, weight) and are sorted in place.
-pub fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
+/// Standard deviation of a normal distribution with the median of these absolute `deviations`; 0 where there are none.
+pub fn robust_sigma(deviations: impl IntoIterator<Item = f64>) -> f64 {
+    SIGMA_PER_MAD * median(deviations).unwrap_or(0.0)
+}
+
+/// The weighted median of (value, weight) pairs, which are sorted in place: the value at which the sum of weights passes
+/// half of their total; the mean of two neighbours where it meets half exactly. `None` where there are no values.
+pub fn weighted_median(values: &mut [(f64, f64)]) -> Option<f64> {
     values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let half = values.iter().map(|v| v.1).sum::<f64>() / 2.0;
     let mut sum = 0.0;
     for (i, v) in values.iter().enumerate() {
         sum += v.1;
         if sum > half {
-            return v.0;
+            return Some(v.0);
         }
         if sum == half && i + 1 < values.len() {
-            return 0.5 * (v.0 + values[i + 1].0);
+            return Some(0.5 * (v.0 + values[i + 1].0));
         }
     }
-    values.last().map_or(0.0, |v| v.0)
+    values.last().map(|v| v.0)
 }
 
-/// Mean of what many parts gain, with its standard error.
+/// Mean of independent samples with its standard error.
 #[derive(Debug, Clone, Copy)]
-pub struct Gain {
+pub struct SampleMean {
     /// Mean.
     pub mean: f64,
-    /// Its standard error.
+    /// Standard error of the mean; infinite for fewer than two samples.
     pub error: f64,
 }
 
-impl Gain {
-    /// From the gain of every part; fewer than two say nothing.
-    pub fn of(gains: &[f64]) -> Self {
-        let n = gains.len() as f64;
+impl SampleMean {
+    /// Mean and standard error of `samples`; (0, ∞) for fewer than two.
+    pub fn of(samples: &[f64]) -> Self {
+        let n = samples.len() as f64;
         if n < 2.0 {
             return Self { mean: 0.0, error: f64::INFINITY };
         }
-        let mean = gains.iter().sum::<f64>() / n;
-        let variance = gains.iter().map(|g| (g - mean) * (g - mean)).sum::<f64>() / (n - 1.0);
+        let mean = samples.iter().sum::<f64>() / n;
+        let variance = samples.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / (n - 1.0);
         Self { mean, error: libm::sqrt(variance / n) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_of_nothing_odd_and_even() {
+        assert_eq!(median::<f32>([]), None);
+        assert_eq!(median([3.0_f64, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median([4.0_f32, 1.0, 3.0, 2.0]), Some(3.0));
+        assert_eq!(weighted_median(&mut []), None);
+        assert_eq!(weighted_median(&mut [(1.0, 1.0), (9.0, 1.0)]), Some(5.0));
+        assert_eq!(weighted_median(&mut [(1.0, 3.0), (9.0, 1.0)]), Some(1.0));
     }
 }

@@ -5,7 +5,8 @@ pub mod spheres;
 pub mod view;
 
 use crate::export::{encode_srgb, hdr};
-use crate::rays::Scene;
+use crate::numerics::robust::median;
+use crate::rays::RayScene;
 use crate::render::lighting::completion::infer;
 use crate::render::lighting::observed_background::surroundings;
 use glam::Vec3;
@@ -121,10 +122,7 @@ fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
         let both = photo.pixels.iter().zip(&rendering.pixels);
         let ratios =
             both.filter(|((p, pc), (r, rc))| *pc > 0.9 && *rc > 0.9 && p[c] > 0.05 && p[c] < 0.95 && r[c] > 1e-6);
-        let mut ratios: Vec<f32> =
-            ratios.map(|((p, _), (r, _))| table[(p[c] * 255.0).round() as usize] / r[c]).collect();
-        let middle = ratios.len() / 2;
-        if ratios.is_empty() { 1.0 } else { *ratios.select_nth_unstable_by(middle, f32::total_cmp).1 }
+        median(ratios.map(|((p, _), (r, _))| table[(p[c] * 255.0).round() as usize] / r[c])).unwrap_or(1.0)
     })
 }
 
@@ -132,7 +130,7 @@ fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
 fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::render::lighting::environment::Environment {
     let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
     let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
-    infer(&result.light, &surroundings(result, &Scene::new(&result.mesh), &pictures))
+    infer(&result.light, &surroundings(result, &RayScene::new(&result.mesh), &pictures))
 }
 
 /// Lays the panels out, the facts in the last place.

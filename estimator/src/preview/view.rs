@@ -2,7 +2,7 @@
 
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
 use crate::numerics::sh;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
@@ -89,14 +89,14 @@ impl<'a> View<'a> {
         for t in self.raster.triangle.iter().filter(|t| **t != MISS) {
             self.result.mesh.triangles[*t as usize].iter().for_each(|c| seen[*c as usize] = true);
         }
-        let scene = Scene::new(&self.result.mesh);
+        let scene = RayScene::new(&self.result.mesh);
         let directions = cosine_directions(RAYS);
         let eye = self.keyframe.world_from_camera.translation.as_vec3();
         let radiance = |i: usize| self.vertex_radiance(i, eye, &scene, &directions);
         (0..seen.len()).into_par_iter().map(|i| if seen[i] { radiance(i) } else { Vec3::ZERO }).collect()
     }
 
-    fn vertex_radiance(&self, i: usize, eye: Vec3, scene: &Scene, directions: &[Vec3]) -> Vec3 {
+    fn vertex_radiance(&self, i: usize, eye: Vec3, scene: &RayScene, directions: &[Vec3]) -> Vec3 {
         let r = self.result;
         let (position, normal) = (r.mesh.positions[i], r.mesh.normals[i]);
         let origin = scene.offset_origin(position, normal);

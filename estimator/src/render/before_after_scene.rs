@@ -1,7 +1,7 @@
 //! The scene before and after a change, as light sees it: what stays, what goes, what comes, and the light around.
 
 use crate::numerics::random::hash;
-use crate::rays::{Hit, Scene};
+use crate::rays::{Hit, RayScene};
 use crate::render::lighting::environment::Environment;
 use crate::render::objects::{Look, Object, interpolate};
 use crate::render::sampling::{Cone, cosine, cosine_density, ggx_normal, point, smith};
@@ -26,7 +26,7 @@ pub struct Body {
     /// Surface and look.
     pub object: Object,
     /// What rays hit.
-    pub bvh: Scene,
+    pub bvh: RayScene,
     /// Diffuse radiance per vertex before the change (of inserted things: after it).
     pub radiance: Vec<Vec3>,
     /// Diffuse radiance per vertex after the change.
@@ -46,7 +46,7 @@ impl Body {
     /// A body whose vertices give off `radiance`.
     #[must_use]
     pub fn new(object: Object, radiance: Vec<Vec3>) -> Self {
-        let bvh = Scene::new(&object.mesh);
+        let bvh = RayScene::new(&object.mesh);
         Self { bvh, after: radiance.clone(), radiance, object }
     }
 

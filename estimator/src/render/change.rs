@@ -1,5 +1,6 @@
 //! From a result to a world with something inserted and something removed, lit on both sides.
 
+use crate::mesh::graph::Graph;
 use crate::numerics::random::hash;
 use crate::render::before_after_scene::{Ball, Body, Side, World};
 use crate::render::inpainting::geometry::Cut;
@@ -7,7 +8,7 @@ use crate::render::inpainting::texture::carry_on;
 use crate::render::lighting::environment::Environment;
 use crate::render::lighting::observed_background::Backdrop;
 use crate::render::objects::{Material, Object};
-use crate::render::removal::{Adjacency, inpaint};
+use crate::render::removal::inpaint;
 use firmware_config::RealityConfig;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -87,12 +88,12 @@ pub fn change(
 ) -> Changed {
     let whole = scanned(estimate);
     let Cut { kept, first_patch, removed, removed_from } = cut;
-    let adjacency = Adjacency::new(kept.positions.len(), &kept.triangles);
+    let graph = Graph::of(&kept);
 
     let mut radiance = estimate.lit_color.clone();
     radiance.resize(kept.positions.len(), Vec3::ZERO);
     let seen: Vec<bool> = radiance.iter().map(|f| f.is_finite() && f.max_element() > 0.0).collect();
-    inpaint(&mut radiance, &seen, &adjacency);
+    inpaint(&mut radiance, &seen, &graph);
 
     let mut object = Object { mesh: kept, ..whole.clone() };
     object.color.resize(object.mesh.positions.len(), Vec3::splat(0.5));
@@ -122,17 +123,17 @@ pub fn change(
         Body::new(all, dark)
     });
     let world = World { kept, removed, inserted, changes, environment };
-    Changed { backdrop, ..light(world, &seen, first_patch, &adjacency, config) }
+    Changed { backdrop, ..light(world, &seen, first_patch, &graph, config) }
 }
 
 /// A ball around every connected piece: a cone towards each wastes no ray on what is between them.
 fn pieces(mesh: &recordings::types::Mesh) -> Vec<Ball> {
-    let adjacency = Adjacency::new(mesh.positions.len(), &mesh.triangles);
+    let graph = Graph::of(mesh);
     let mut done = vec![false; mesh.positions.len()];
     let mut members: Vec<Vec<usize>> = Vec::new();
     for start in 0..done.len() {
         if !done[start] {
-            members.push(adjacency.patch(start, &mut done));
+            members.push(graph.component(start, &mut done));
         }
     }
     let ball = |list: &[usize]| Ball::around(list.iter().map(|&v| mesh.positions[v]));
@@ -144,13 +145,7 @@ fn pieces(mesh: &recordings::types::Mesh) -> Vec<Ball> {
 }
 
 /// Fills in what light does on both sides.
-fn light(
-    mut world: World,
-    seen: &[bool],
-    first_patch: usize,
-    adjacency: &Adjacency,
-    config: &RealityConfig,
-) -> Changed {
+fn light(mut world: World, seen: &[bool], first_patch: usize, graph: &Graph, config: &RealityConfig) -> Changed {
     let n = world.kept.object.mesh.positions.len();
     let seed = config.seed;
     let used = {
@@ -183,7 +178,7 @@ fn light(
     // Reflectance is albedo, texture continued, times a level that varies slowly and so is told by many vertices.
     let mut albedo = world.kept.object.color.clone();
     if removed {
-        carry_on(&mut albedo, &known, &world.kept.object.mesh, adjacency, world.kept.bvh.median_edge());
+        carry_on(&mut albedo, &known, &world.kept.object.mesh, graph, world.kept.bvh.median_edge());
     }
     let mut level: Vec<Vec3> = (0..n)
         .map(|v| {
@@ -192,8 +187,8 @@ fn light(
             if asked[v] { level.clamp(Vec3::splat(0.2), Vec3::splat(5.0)) } else { Vec3::ONE }
         })
         .collect();
-    smooth(&mut level, &asked, adjacency);
-    inpaint(&mut level, &asked, adjacency);
+    smooth(&mut level, &asked, graph);
+    inpaint(&mut level, &asked, graph);
     let reflectance: Vec<Vec3> = albedo.iter().zip(&level).map(|(a, l)| *a * *l).collect();
     let filled: Vec<bool> = (0..n).map(|v| reached[v] && !known[v]).collect();
 
@@ -227,10 +222,10 @@ pub fn rays(reach: f32, most: u32) -> u32 {
 }
 
 /// Averages `values` over neighbours that are `known`, again and again.
-fn smooth(values: &mut [Vec3], known: &[bool], adjacency: &Adjacency) {
+fn smooth(values: &mut [Vec3], known: &[bool], graph: &Graph) {
     for _ in 0..LEVEL_SWEEPS {
         let mean = |v: usize| {
-            let around = adjacency.of(v).iter().map(|&i| i as usize).filter(|&i| known[i]);
+            let around = graph.neighbours(v).iter().map(|&i| i as usize).filter(|&i| known[i]);
             let (sum, count) = around.fold((values[v], 1.0), |(s, c), i| (s + values[i], c + 1.0));
             if known[v] { sum / count } else { values[v] }
         };

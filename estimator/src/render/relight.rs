@@ -2,7 +2,7 @@
 
 use crate::numerics::random::hash;
 use crate::numerics::sh;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::render::before_after_scene::{Met, Part, Side};
 use crate::render::change::Changed;
 use crate::render::compose::{Picture, Viewpoint};
@@ -64,7 +64,7 @@ pub struct Relight {
     albedo: Vec<Vec3>,
     /// Diffuse light as scanned, for pictures over photos: `[vertex]`.
     scanned: Vec<Vec3>,
-    scene: Scene,
+    scene: RayScene,
     mesh: recordings::types::Mesh,
     looks: Vec<crate::render::objects::Look>,
     kept: usize,
@@ -94,7 +94,7 @@ impl Relight {
             object.append(&inserted.object);
             scanned.resize(object.mesh.positions.len(), Vec3::ZERO);
         }
-        let scene = Scene::new(&object.mesh);
+        let scene = RayScene::new(&object.mesh);
         let traced = trace(&object.mesh, &scene, BANDS, config.relight_rays, config.seed, report);
         let looks = object.vertex_looks();
         let albedo: Vec<Vec3> = looks.iter().map(|l| l.diffuse).collect();

@@ -1,6 +1,6 @@
 //! Where pictures are taken from: keyframes, witnesses, an orbit, or cameras from a file.
 
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::render::RealityError;
 use crate::render::Result;
 use crate::render::compose::Viewpoint;
@@ -122,7 +122,7 @@ pub fn views(
 
 /// True if some ray of the view meets the scan.
 #[must_use]
-pub fn sees(view: &Viewpoint, scene: &Scene) -> bool {
+pub fn sees(view: &Viewpoint, scene: &RayScene) -> bool {
     let (w, h) = view.size();
     let eye = view.world_from_camera.translation.as_vec3();
     (0..400).any(|i| {

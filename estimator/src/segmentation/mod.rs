@@ -5,7 +5,7 @@ pub mod regions;
 pub mod shape_diameter;
 
 use crate::mesh::graph::Graph;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -31,12 +31,12 @@ pub const NONE: u32 = u32::MAX;
 #[must_use]
 pub fn segment(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     lit_color: &[Vec3],
     lit_weight: &[f32],
     config: &EstimatorConfig,
 ) -> Vec<u32> {
-    let graph = Graph::new(mesh);
+    let graph = Graph::of(mesh);
     let seen: Vec<bool> = lit_weight.iter().zip(lit_color).map(|(&w, c)| w > 0.0 && c.is_finite()).collect();
     let features = median_filtered(&graph, &features(lit_color, &seen), &seen);
     let mut sharp = sharpened(&graph, &features, &seen);

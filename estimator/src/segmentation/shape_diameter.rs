@@ -1,7 +1,7 @@
 //! Shape diameter: how thick the object is below a vertex.
 
 use crate::mesh::graph::Graph;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use recordings::types::Mesh;
@@ -16,7 +16,7 @@ const CONE_COSINE: f32 = 0.5;
 ///
 /// Thickness changes slowly: rays are traced from a set of vertices of which no two are neighbours, the others take
 /// the mean of theirs.
-pub(crate) fn shape_diameter(mesh: &Mesh, graph: &Graph, scene: &Scene, seed: u32) -> Vec<Option<f32>> {
+pub(crate) fn shape_diameter(mesh: &Mesh, graph: &Graph, scene: &RayScene, seed: u32) -> Vec<Option<f32>> {
     let mut covered = vec![false; graph.vertices()];
     let mut chosen = vec![false; graph.vertices()];
     for i in 0..graph.vertices() {
@@ -41,7 +41,7 @@ pub(crate) fn shape_diameter(mesh: &Mesh, graph: &Graph, scene: &Scene, seed: u3
         .collect()
 }
 
-fn diameter(mesh: &Mesh, scene: &Scene, vertex: usize, seed: u32) -> Option<f32> {
+fn diameter(mesh: &Mesh, scene: &RayScene, vertex: usize, seed: u32) -> Option<f32> {
     let inwards = -mesh.normals[vertex];
     if !(inwards.length_squared() > 0.5 && mesh.positions[vertex].is_finite()) {
         return None;

@@ -39,7 +39,7 @@ pub fn pooled(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]], gloss: &[Gloss]
 /// The material of every segment, named by its lowest segment.
 fn materials(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]]) -> Vec<usize> {
     let labs: Vec<Vec3> = albedo.iter().map(|a| lab(Vec3::from_array(a.map(|x| x as f32)).max(Vec3::ZERO))).collect();
-    let graph = Graph::new(mesh);
+    let graph = Graph::of(mesh);
     let mut touching: Vec<[u32; 2]> = (0..graph.vertices())
         .flat_map(|i| graph.neighbours(i).iter().map(move |&j| [segment[i], segment[j as usize]]))
         .filter(|[a, b]| a < b)

@@ -8,9 +8,9 @@ pub mod material;
 pub mod refit;
 
 use crate::association::Association;
-use crate::numerics::robust::Gain;
+use crate::numerics::robust::{SampleMean, median, robust_sigma};
 use crate::numerics::sh;
-use crate::rays::{Hit, Scene};
+use crate::rays::{Hit, RayScene};
 use glam::{DVec3, Vec3};
 use nalgebra::{Matrix4, Vector4};
 use rayon::prelude::*;
@@ -72,7 +72,7 @@ pub struct Reflection<'a> {
     /// Mesh with unit normals.
     pub mesh: &'a Mesh,
     /// The same for rays.
-    pub scene: &'a Scene,
+    pub scene: &'a RayScene,
     /// Coefficients of the light.
     pub light: &'a [[f64; 3]],
     /// Irradiance over π per vertex.
@@ -215,7 +215,7 @@ fn views(
     }
     for b in 0..LOBES.len() {
         for c in 0..3 {
-            let middle = median(views.iter().map(|p| p.mirror[b][c]).collect());
+            let middle = median(views.iter().map(|p| p.mirror[b][c])).unwrap_or(0.0);
             views.iter_mut().for_each(|p| p.change[b][c] -= middle);
         }
     }
@@ -242,7 +242,7 @@ impl Prediction {
     pub fn gain_over(&self, other: &Self) -> f64 {
         let both = self.vertices.iter().zip(&other.vertices).filter(|(a, _)| a.1 > 0.0);
         let gains: Vec<f64> = both.map(|(a, b)| (b.0 - a.0) / a.1).collect();
-        let Gain { mean, error } = Gain::of(&gains);
+        let SampleMean { mean, error } = SampleMean::of(&gains);
         if error > 0.0 { mean / error } else { 0.0 }
     }
 }
@@ -278,10 +278,8 @@ pub fn predict(
 
 fn fit_segment(views: &[View]) -> Gloss {
     // Errors of a picture grow with its brightness; all channels of a segment count alike.
-    let size = median(views.iter().map(|p| (p.lit[0] + p.lit[1] + p.lit[2]) / 3.0).collect());
-    if views.is_empty() || size.is_nan() || size <= 0.0 {
-        return Gloss::NONE;
-    }
+    let size = median(views.iter().map(|p| (p.lit[0] + p.lit[1] + p.lit[2]) / 3.0));
+    let Some(size) = size.filter(|s| *s > 0.0) else { return Gloss::NONE };
     let sample = |p: &View, c: usize| {
         let scale = libm::sqrt(p.weight.max(1e-3)) / (p.lit[c] + DARK_FLOOR * size);
         Sample {
@@ -295,7 +293,7 @@ fn fit_segment(views: &[View]) -> Gloss {
         }
     };
     let mut samples: Vec<Sample> = views.iter().flat_map(|p| [0, 1, 2].map(|c| sample(p, c))).collect();
-    let spread = 1.4826 * median(samples.iter().map(|s| (s.seen - s.lit).abs()).collect()) + 1e-9;
+    let spread = robust_sigma(samples.iter().map(|s| (s.seen - s.lit).abs())) + 1e-9;
     let mut best: Option<(f64, Gloss)> = None;
     for lobe in 0..LOBES.len() {
         let Some((weight, error)) = change_weight(&mut samples, lobe) else { continue };
@@ -350,7 +348,7 @@ fn change_weight(samples: &mut [Sample], lobe: usize) -> Option<(f64, f64)> {
         }
         weight = cross / square;
         let off = |s: &Sample| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs();
-        let sigma = 1.4826 * median(samples.iter().map(off).collect()) + 1e-9;
+        let sigma = robust_sigma(samples.iter().map(off)) + 1e-9;
         samples.iter_mut().for_each(|s| s.robust = HUBER * sigma / off(s).max(HUBER * sigma));
         error = sigma * libm::sqrt(CORRELATED / square);
     }
@@ -379,7 +377,7 @@ fn level_weight(samples: &mut [Sample], lobe: usize, spread: f64) -> Option<(f64
         let inverse = normal.try_inverse()?;
         let x = inverse * target;
         let off = |s: &Sample| (s.seen - x[s.channel] * s.irradiance - x[3] * s.mirror[lobe]).abs();
-        let sigma = 1.4826 * median(samples.iter().map(off).collect()) + 1e-9;
+        let sigma = robust_sigma(samples.iter().map(off)) + 1e-9;
         samples.iter_mut().for_each(|s| s.robust = HUBER * sigma / off(s).max(HUBER * sigma));
         (weight, error) = (x[3], sigma * libm::sqrt(CORRELATED * inverse[(3, 3)].max(0.0)));
         loss = samples.iter().map(|s| huber(off(s) / spread)).sum::<f64>() / samples.len() as f64;
@@ -432,17 +430,9 @@ pub fn clean(reflection: &Reflection, association: &Association, segment: &[u32]
             let matte = [0, 1, 2].map(|c| {
                 let left = |p: &View| p.seen[c] - gloss.lobe_weight * p.mirror[gloss.lobe][c];
                 // Something stays: nothing is all gloss to the median of its views.
-                median(views.iter().map(left).collect()).max(LEAST_MATTE * f64::from(lit[c])) as f32
+                median(views.iter().map(left)).unwrap_or(0.0).max(LEAST_MATTE * f64::from(lit[c])) as f32
             });
             Vec3::from_array(matte)
         })
         .collect()
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return f64::NAN;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }

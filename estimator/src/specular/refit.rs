@@ -3,7 +3,7 @@
 use crate::association::Association;
 use crate::factorisation::{Colors, Factorised, Settings, factorise};
 use crate::numerics::sh;
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::specular::material;
 use crate::specular::{self, Gloss, Prediction, Reflection};
 use glam::Vec3;
@@ -33,7 +33,7 @@ struct Cleaned {
 #[must_use]
 pub fn refit(
     mesh: &Mesh,
-    scene: &Scene,
+    scene: &RayScene,
     fields: &mut Association,
     segment: &[u32],
     mut found: Factorised,
@@ -162,7 +162,7 @@ fn colors<'a>(lit_color: &'a [Vec3], fields: &'a Association, segment: &'a [u32]
 
 /// What predicts mirrored light: the bands that mirrors show.
 #[must_use]
-pub fn reflection<'a>(mesh: &'a Mesh, scene: &'a Scene, found: &'a Factorised) -> Reflection<'a> {
+pub fn reflection<'a>(mesh: &'a Mesh, scene: &'a RayScene, found: &'a Factorised) -> Reflection<'a> {
     let light = &found.solution.light;
     let light = &light[..light.len().min(sh::MIRRORED_BANDS * sh::MIRRORED_BANDS)];
     Reflection { mesh, scene, light, irradiance: &found.irradiance }

@@ -1,6 +1,7 @@
 //! Scenes whose albedo and lit colour are known, vertex by vertex.
 
-use crate::rays::Scene;
+use crate::numerics::robust::median;
+use crate::rays::RayScene;
 use crate::sweep::luminous;
 use glam::{DVec3, Mat3, Vec3};
 use nalgebra::{Matrix3, Vector3};
@@ -31,7 +32,7 @@ pub struct Answer<'a> {
     /// Mesh that was found.
     pub mesh: &'a Mesh,
     /// The same for rays.
-    pub scene: &'a Scene,
+    pub scene: &'a RayScene,
     /// Keyframes by time stamp, in the frame of that mesh.
     pub views: &'a [(i64, Pose)],
     /// Vertices that two keyframes or more see.
@@ -155,14 +156,11 @@ impl Answer<'_> {
     }
 }
 
-/// Median over places and channels, after the median of each channel.
+/// Median relative error over places and channels, after the median of each channel; NaN of no places.
 fn relative_error(ratios: &[Vec3]) -> f64 {
-    let median = |mut values: Vec<f64>| {
-        let middle = values.len() / 2;
-        if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
-    };
-    let scale = [0, 1, 2].map(|c| median(ratios.iter().map(|r| f64::from(r[c])).collect()));
-    median(ratios.iter().flat_map(|r| [0, 1, 2].map(|c| (f64::from(r[c]) / scale[c] - 1.0).abs())).collect())
+    let scale = [0, 1, 2].map(|c| median(ratios.iter().map(|r| f64::from(r[c]))).unwrap_or(f64::NAN));
+    let relative = ratios.iter().flat_map(|r| [0, 1, 2].map(|c| (f64::from(r[c]) / scale[c] - 1.0).abs()));
+    median(relative).unwrap_or(f64::NAN)
 }
 
 /// `timestamp tx ty tz qx qy qz qw`, by microseconds.
@@ -262,7 +260,7 @@ mod tests {
             let albedo: Vec<Vec3> = mesh.positions.iter().map(answer).collect();
             let irradiance = vec![Vec3::ONE; albedo.len()];
             let seen = vec![true; albedo.len()];
-            let (scene, albedo, irradiance) = (&Scene::new(mesh), &albedo, &irradiance);
+            let (scene, albedo, irradiance) = (&RayScene::new(mesh), &albedo, &irradiance);
             let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo, irradiance };
             let at = |p: &Vec3| answer.at(*p, Vec3::Z, truth.reach);
             let places: Vec<[Vec3; 2]> = known.positions.iter().filter_map(at).collect();
@@ -280,7 +278,7 @@ mod tests {
 
     fn places(mesh: &Mesh, truth: &Truth) -> usize {
         let ones = vec![Vec3::ONE; mesh.positions.len()];
-        let (scene, seen) = (&Scene::new(mesh), vec![true; ones.len()]);
+        let (scene, seen) = (&RayScene::new(mesh), vec![true; ones.len()]);
         let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo: &ones, irradiance: &ones };
         truth.positions.iter().filter(|p| answer.at(**p, Vec3::Z, truth.reach).is_some()).count()
     }

@@ -13,7 +13,7 @@ use crate::camera::{LEVELS, Rig, Rigid, depth_sigma};
 use crate::tracking::pyramid::{Frame, Surfel};
 use crate::tsdf::{Cursor, Volume};
 use firmware_config::FusionConfig;
-use glam::{DQuat, DVec3, Vec2, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use nalgebra::{Matrix6, SMatrix, SVector, Vector6};
 use rayon::prelude::*;
 use recordings::types::Pose;
@@ -104,15 +104,14 @@ fn photo_points(frame: &Frame, rig: &Rig, level: usize, out: &mut Vec<PhotoPoint
     }
 }
 
-/// exp of a twist (translation, rotation): to first order in the coupling, exact in the rotation.
+/// [`Pose::exp`] of a vector of unknowns (translation, rotation).
 pub fn exp(d: &Vector6<f64>) -> Pose {
-    Pose::new(DQuat::from_scaled_axis(DVec3::new(d[3], d[4], d[5])), DVec3::new(d[0], d[1], d[2]))
+    Pose::exp(DVec3::new(d[3], d[4], d[5]), DVec3::new(d[0], d[1], d[2]))
 }
 
 /// The inverse of [`exp`].
 pub fn log(p: &Pose) -> Vector6<f64> {
-    let q = if p.rotation.w < 0.0 { -p.rotation } else { p.rotation };
-    let (t, r) = (p.translation, q.to_scaled_axis());
+    let (r, t) = p.log();
     Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z)
 }
 

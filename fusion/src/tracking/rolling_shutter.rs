@@ -83,8 +83,8 @@ impl Sweep {
 
     /// Takes a point from the camera at the instant of a row to the same camera at the middle's.
     pub fn middle_from_row(&self, row: f32) -> Pose {
-        let d = [self.way, self.turn].map(|d| (d * row).as_dvec3());
-        exp(&Vector6::new(d[0].x, d[0].y, d[0].z, d[1].x, d[1].y, d[1].z))
+        let [translation, rotation] = [self.way, self.turn].map(|d| (d * row).as_dvec3());
+        Pose::exp(rotation, translation)
     }
 
     /// The point as it is seen in its own row, with its pixel there; the point must lie in front of the camera.

@@ -1,7 +1,8 @@
 //! Cuts a part of a surface away and closes what that leaves open.
 
+use crate::mesh::graph::Graph;
 use crate::render::objects::vertex_normals;
-use crate::render::removal::{Adjacency, SWEEPS};
+use crate::render::removal::SWEEPS;
 use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
@@ -62,12 +63,12 @@ pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
 /// Open borders of what stays that the removed left or hid: a thing seldom shows where it touches its support, so a hole
 /// was there before. Against the direction of the triangles that stay. `index` is not `u32::MAX` at vertices of what was removed.
 fn rings(kept: &Mesh, removed: &Mesh, index: &[u32], edge: f32) -> Vec<Vec<u32>> {
-    let adjacency = Adjacency::new(removed.positions.len(), &removed.triangles);
+    let graph = Graph::of(removed);
     let mut done = vec![false; removed.positions.len()];
     let mut boxes: Vec<(Vec3, Vec3)> = Vec::new();
     for start in 0..done.len() {
         if !done[start] {
-            let of = adjacency.patch(start, &mut done).into_iter().map(|v| removed.positions[v]);
+            let of = graph.component(start, &mut done).into_iter().map(|v| removed.positions[v]);
             let (low, high) = of.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
             boxes.push((low, high));
         }
@@ -143,10 +144,10 @@ fn close(mesh: &mut Mesh, ring: &[u32]) {
     mesh.triangles.extend((0..n).map(|i| [outer[i], outer[(i + 1) % n], tip]));
     mesh.normals.resize(mesh.positions.len(), Vec3::Z);
     let added = mesh.triangles.len() - (2 * n * (levels - 1) + n);
-    let adjacency = Adjacency::new(mesh.positions.len(), &mesh.triangles[added..]);
+    let graph = Graph::new(mesh.positions.len(), &mesh.triangles[added..]);
     for _ in 0..SWEEPS {
         for v in first..mesh.positions.len() {
-            let around = adjacency.of(v);
+            let around = graph.neighbours(v);
             if !around.is_empty() {
                 mesh.positions[v] =
                     around.iter().map(|&i| mesh.positions[i as usize]).sum::<Vec3>() / around.len() as f32;

@@ -2,7 +2,8 @@
 //! surface into it, its level fitted to the hole's border by a membrane (after Pérez, Gangnet and Blake, "Poisson Image
 //! Editing", SIGGRAPH 2003, on ratios).
 
-use crate::render::removal::{Adjacency, inpaint};
+use crate::mesh::graph::Graph;
+use crate::render::removal::inpaint;
 use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
@@ -64,22 +65,22 @@ impl<'a> Known<'a> {
 
 /// Fills `values` where they are not `known`: a membrane everywhere, texture where a piece of the surface beside fits.
 /// `edge` is the mesh's median edge in metres.
-pub fn carry_on(values: &mut [Vec3], known: &[bool], mesh: &Mesh, adjacency: &Adjacency, edge: f32) {
+pub fn carry_on(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph: &Graph, edge: f32) {
     let around = Known::new(mesh, values, known, edge);
-    inpaint(values, known, adjacency);
+    inpaint(values, known, graph);
     let mut done = known.to_vec();
     for start in 0..known.len() {
-        if done[start] || adjacency.of(start).is_empty() {
+        if done[start] || graph.neighbours(start).is_empty() {
             continue;
         }
-        let hole = adjacency.patch(start, &mut done);
+        let hole = graph.component(start, &mut done);
         if hole.len() >= SMALLEST {
-            clone_into(&hole, values, known, &around, adjacency);
+            clone_into(&hole, values, known, &around, graph);
         }
     }
 }
 
-fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Known, adjacency: &Adjacency) {
+fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Known, graph: &Graph) {
     let mesh = around.mesh;
     let sum: Vec3 = hole.iter().map(|&v| mesh.normals[v]).sum();
     let normal = sum / hole.len() as f32;
@@ -88,7 +89,7 @@ fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Know
     }
     let normal = normal.normalize();
     let mut border: Vec<usize> =
-        hole.iter().flat_map(|&v| adjacency.of(v)).map(|&v| v as usize).filter(|&v| known[v]).collect();
+        hole.iter().flat_map(|&v| graph.neighbours(v)).map(|&v| v as usize).filter(|&v| known[v]).collect();
     border.sort_unstable();
     border.dedup();
     if border.len() < 8 {
@@ -128,7 +129,7 @@ fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Know
             level[v] = (values[v] / source.max(Vec3::splat(1e-6))).clamp(Vec3::splat(0.25), Vec3::splat(4.0));
         }
     }
-    inpaint(&mut level, &fixed, adjacency);
+    inpaint(&mut level, &fixed, graph);
     for &v in hole {
         if let Some(source) = around.at(mesh.positions[v] + shift, normal) {
             values[v] = source * level[v];
@@ -161,7 +162,7 @@ mod tests {
         let stripes = |p: &Vec3| Vec3::splat(0.5 + 0.2 * libm::sinf(p.y * 0.8)) * (1.0 + 0.003 * p.x);
         let truth: Vec<Vec3> = mesh.positions.iter().map(stripes).collect();
         let known: Vec<bool> = mesh.positions.iter().map(|p| p.distance(Vec3::new(40.0, 40.0, 0.0)) > 9.0).collect();
-        let adjacency = Adjacency::new(N * N, &mesh.triangles);
+        let graph = Graph::of(&mesh);
         let blank: Vec<Vec3> = truth.iter().zip(&known).map(|(t, k)| if *k { *t } else { Vec3::ZERO }).collect();
         let error = |values: &[Vec3]| -> f32 {
             let inside = (0..N * N).filter(|&v| !known[v]);
@@ -169,8 +170,8 @@ mod tests {
             (sum / known.iter().filter(|k| !**k).count() as f32).sqrt()
         };
         let (mut smooth, mut textured) = (blank.clone(), blank);
-        inpaint(&mut smooth, &known, &adjacency);
-        carry_on(&mut textured, &known, &mesh, &adjacency, 1.0);
+        inpaint(&mut smooth, &known, &graph);
+        carry_on(&mut textured, &known, &mesh, &graph, 1.0);
         assert!(error(&textured) < 0.4 * error(&smooth), "{} {}", error(&textured), error(&smooth));
     }
 }

@@ -4,7 +4,7 @@
 //! Lamps are found by CLEAN (Högbom, "Aperture Synthesis with a Non-Regular Distribution of Interferometer Baselines",
 //! A&AS 15, 1974): the brightest direction of the residual gets a small lamp, its blurred image is subtracted, and again.
 
-use crate::numerics::sh;
+use crate::numerics::{robust, sh};
 use crate::render::lighting::environment::{Environment, SIDE, direction};
 use crate::render::lighting::observed_background::Known;
 use glam::Vec3;
@@ -101,14 +101,8 @@ fn within(light: Vec3, even: Vec3) -> Vec3 {
 
 /// Middle radiance of the directions that were seen, per channel.
 fn median(known: &[Known]) -> Option<[f64; 3]> {
-    let list: Vec<Vec3> = known.iter().filter(|k| k.trust > 0.5).map(|k| k.radiance).collect();
-    (!list.is_empty()).then(|| {
-        std::array::from_fn(|c| {
-            let mut x: Vec<f32> = list.iter().map(|r| r[c]).collect();
-            x.sort_by(f32::total_cmp);
-            f64::from(x[x.len() / 2])
-        })
-    })
+    let channel = |c: usize| robust::median(known.iter().filter(|k| k.trust > 0.5).map(|k| f64::from(k.radiance[c])));
+    Some([channel(0)?, channel(1)?, channel(2)?])
 }
 
 /// Moves peaks of `rest` into lamps: direction and RGB flux.

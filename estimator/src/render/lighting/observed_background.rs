@@ -1,6 +1,7 @@
 //! What the keyframes saw past the mesh: the part of the surroundings that needs no guess.
 
-use crate::rays::Scene;
+use crate::numerics::robust::median;
+use crate::rays::RayScene;
 use crate::render::lighting::environment::{Environment, SIDE, texel};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -139,7 +140,7 @@ fn carry_on(known: &mut [Known]) {
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
 #[must_use]
-pub fn surroundings(estimate: &Estimate, scene: &Scene, pictures: &[Option<RgbImage>]) -> Vec<Known> {
+pub fn surroundings(estimate: &Estimate, scene: &RayScene, pictures: &[Option<RgbImage>]) -> Vec<Known> {
     let table = estimate.response.linear_table();
     let views: Vec<Vec<(usize, Vec3, bool)>> = estimate
         .keyframes
@@ -170,7 +171,7 @@ pub fn overlay(light: &Environment, known: &[Known]) -> Environment {
 fn one_view(
     keyframe: &ResultKeyframe,
     picture: &RgbImage,
-    scene: &Scene,
+    scene: &RayScene,
     table: &[f32; 256],
 ) -> Vec<(usize, Vec3, bool)> {
     let eye = keyframe.world_from_camera.translation.as_vec3();
@@ -202,13 +203,9 @@ fn agree(samples: &[(Vec3, bool)]) -> Known {
     if samples.is_empty() {
         return Known::default();
     }
-    let median = |mut x: Vec<f32>| {
-        x.sort_by(f32::total_cmp);
-        x[x.len() / 2]
-    };
-    let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c]).collect());
+    let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c])).unwrap_or(0.0);
     let radiance = Vec3::new(channel(0), channel(1), channel(2));
-    let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum()).collect());
+    let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum())).unwrap_or(0.0);
     let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
     let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
     Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped, ..Known::default() }

@@ -1,6 +1,6 @@
 //! What is inserted: an object file, another scan or a part of it, and where it stands.
 
-use crate::rays::Scene;
+use crate::rays::RayScene;
 use crate::render::RealityError;
 use crate::render::Result;
 use crate::render::change::scanned;
@@ -73,7 +73,7 @@ impl std::str::FromStr for Insert {
 ///
 /// # Errors
 /// The file cannot be used, or no place is found for it.
-pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &Scene) -> Result<(Object, Vec<String>)> {
+pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &RayScene) -> Result<(Object, Vec<String>)> {
     let path = &insert.path;
     let is_scan = path.extension().is_some_and(|e| e == "lres");
     let mut object = if is_scan { part_of(path, &insert.segments)? } else { from_file(path)? };
@@ -96,14 +96,14 @@ pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &Scene) -> Re
 }
 
 /// Where the middle of the view meets the scan.
-fn middle(view: &Viewpoint, scene: &Scene) -> Option<Vec3> {
+fn middle(view: &Viewpoint, scene: &RayScene) -> Option<Vec3> {
     let (w, h) = view.size();
     let eye = view.world_from_camera.translation.as_vec3();
     let d = view.ray((w - 1) as f32 / 2.0, (h - 1) as f32 / 2.0);
     scene.closest_hit(eye, d).map(|hit| eye + d * hit.distance)
 }
 
-fn oddities(object: &Object, mesh: &Mesh, scene: &Scene) -> Vec<String> {
+fn oddities(object: &Object, mesh: &Mesh, scene: &RayScene) -> Vec<String> {
     let (low, high) = object.bounds();
     let p = &mesh.positions;
     let (from, to) = p.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));

@@ -2,7 +2,8 @@
 
 pub mod object_extraction;
 
-use crate::rays::Scene;
+use crate::mesh::graph::Graph;
+use crate::rays::RayScene;
 use crate::render::RealityError;
 use crate::render::Result;
 use crate::render::removal::object_extraction::{grown, thing};
@@ -35,77 +36,13 @@ const CRUMBS: f64 = 0.1;
 /// Sweeps of the membrane over what is unknown.
 pub const SWEEPS: usize = 400;
 
-/// Vertices that share a triangle: `neighbours[offsets[v]..offsets[v + 1]]`, ascending.
-#[derive(Debug)]
-pub struct Adjacency {
-    offsets: Vec<u32>,
-    neighbours: Vec<u32>,
-}
-
-impl Adjacency {
-    /// Of a mesh's triangles.
-    #[must_use]
-    pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
-        let mut pairs: Vec<(u32, u32)> =
-            triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)]).collect();
-        pairs.sort_unstable();
-        pairs.dedup();
-        let mut offsets = vec![0u32; vertices + 1];
-        pairs.iter().for_each(|(a, _)| offsets[*a as usize + 1] += 1);
-        for v in 0..vertices {
-            offsets[v + 1] += offsets[v];
-        }
-        Self { offsets, neighbours: pairs.into_iter().map(|(_, b)| b).collect() }
-    }
-
-    /// Neighbours of a vertex.
-    #[must_use]
-    pub fn of(&self, vertex: usize) -> &[u32] {
-        &self.neighbours[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
-    }
-
-    /// What is not yet `done` and connected to `start`; all of it is done then.
-    pub fn patch(&self, start: usize, done: &mut [bool]) -> Vec<usize> {
-        let mut list = vec![start];
-        done[start] = true;
-        let mut next = 0;
-        while next < list.len() {
-            for &n in self.of(list[next]) {
-                if !done[n as usize] {
-                    done[n as usize] = true;
-                    list.push(n as usize);
-                }
-            }
-            next += 1;
-        }
-        list
-    }
-
-    /// Everything connected to `start` through vertices that `may` be passed.
-    #[must_use]
-    pub fn flood(&self, start: usize, may: impl Fn(usize) -> bool) -> Vec<bool> {
-        let mut inside = vec![false; self.offsets.len() - 1];
-        let mut open = vec![start];
-        inside[start] = true;
-        while let Some(v) = open.pop() {
-            for &n in self.of(v) {
-                if !inside[n as usize] && may(n as usize) {
-                    inside[n as usize] = true;
-                    open.push(n as usize);
-                }
-            }
-        }
-        inside
-    }
-}
-
 /// Vertices that a list of removals takes away.
 ///
 /// # Errors
 /// A segment that does not exist, a ray or a box that meets nothing, or nothing left.
-pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal]) -> Result<Vec<bool>> {
+pub fn select(mesh: &Mesh, segment: &[u32], scene: &RayScene, removals: &[Removal]) -> Result<Vec<bool>> {
     let n = mesh.positions.len();
-    let adjacency = Adjacency::new(n, &mesh.triangles);
+    let graph = Graph::of(mesh);
     let mut gone = vec![false; n];
     let edge = scene.median_edge();
     let count = |set: &[bool]| set.iter().filter(|x| **x).count();
@@ -113,13 +50,13 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
         let chosen: Vec<bool> = match removal {
             Removal::Segment(id) => {
                 let mut members: Vec<bool> = segment.iter().map(|s| s == id).collect();
-                if let Some(whole) = middle(mesh, &members).and_then(|seed| thing(mesh, &adjacency, edge, seed)) {
+                if let Some(whole) = middle(mesh, &members).and_then(|seed| thing(mesh, &graph, edge, seed)) {
                     let shared = (0..n).filter(|&v| whole[v] && members[v]).count();
                     if shared as f64 >= MOST_OF_IT * count(&whole) as f64 {
-                        members.iter_mut().zip(grown(&whole, &adjacency)).for_each(|(m, w)| *m |= w);
+                        members.iter_mut().zip(grown(&whole, &graph)).for_each(|(m, w)| *m |= w);
                     }
                 }
-                with_crumbs(members, &adjacency)
+                with_crumbs(members, &graph)
             }
             Removal::Box(low, high) => {
                 mesh.positions.iter().map(|p| p.cmpge(*low).all() && p.cmple(*high).all()).collect()
@@ -129,12 +66,12 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &Scene, removals: &[Removal])
                     RealityError::Request("nothing of the scan is under the point that is to be removed".into())
                 })?;
                 let start = mesh.triangles[hit.triangle as usize][0] as usize;
-                let piece = adjacency.flood(start, |_| true);
+                let piece = graph.flood(start, |_| true);
                 if count(&piece) as f64 <= LARGEST_PIECE * n as f64 {
                     piece
                 } else {
-                    let patch = || with_crumbs(adjacency.flood(start, |v| segment[v] == segment[start]), &adjacency);
-                    thing(mesh, &adjacency, edge, start).map_or_else(patch, |whole| grown(&whole, &adjacency))
+                    let patch = || with_crumbs(graph.flood(start, |v| segment[v] == segment[start]), &graph);
+                    thing(mesh, &graph, edge, start).map_or_else(patch, |whole| grown(&whole, &graph))
                 }
             }
         };
@@ -163,14 +100,14 @@ fn middle(mesh: &Mesh, members: &[bool]) -> Option<usize> {
 }
 
 /// With the small pieces that only the members held.
-fn with_crumbs(mut members: Vec<bool>, adjacency: &Adjacency) -> Vec<bool> {
+fn with_crumbs(mut members: Vec<bool>, graph: &Graph) -> Vec<bool> {
     let size = members.iter().filter(|m| **m).count();
     let mut done = members.clone();
     let rim: Vec<usize> =
-        (0..members.len()).filter(|&v| members[v]).flat_map(|v| adjacency.of(v)).map(|&v| v as usize).collect();
+        (0..members.len()).filter(|&v| members[v]).flat_map(|v| graph.neighbours(v)).map(|&v| v as usize).collect();
     for v in rim {
         if !done[v] {
-            let piece = adjacency.patch(v, &mut done);
+            let piece = graph.component(v, &mut done);
             if piece.len() as f64 <= CRUMBS * size as f64 {
                 piece.into_iter().for_each(|p| members[p] = true);
             }
@@ -181,18 +118,18 @@ fn with_crumbs(mut members: Vec<bool>, adjacency: &Adjacency) -> Vec<bool> {
 
 /// Carries values over the vertices that are not `known`: first from the nearest known ones, then relaxed to a membrane
 /// (each the mean of its neighbours).
-pub fn inpaint(values: &mut [Vec3], known: &[bool], adjacency: &Adjacency) {
+pub fn inpaint(values: &mut [Vec3], known: &[bool], graph: &Graph) {
     let mut have = known.to_vec();
     let mut order = Vec::new();
     let mut front: Vec<usize> = (0..have.len()).filter(|&v| have[v]).collect();
     while !front.is_empty() {
         let mut next: Vec<usize> =
-            front.iter().flat_map(|&v| adjacency.of(v)).map(|&v| v as usize).filter(|&v| !have[v]).collect();
+            front.iter().flat_map(|&v| graph.neighbours(v)).map(|&v| v as usize).filter(|&v| !have[v]).collect();
         next.sort_unstable();
         next.dedup();
         for &v in &next {
             let around: Vec<Vec3> =
-                adjacency.of(v).iter().filter(|&&n| have[n as usize]).map(|&n| values[n as usize]).collect();
+                graph.neighbours(v).iter().filter(|&&n| have[n as usize]).map(|&n| values[n as usize]).collect();
             values[v] = around.iter().sum::<Vec3>() / around.len().max(1) as f32;
         }
         next.iter().for_each(|&v| have[v] = true);
@@ -202,7 +139,7 @@ pub fn inpaint(values: &mut [Vec3], known: &[bool], adjacency: &Adjacency) {
     let sweeps = if order.len() > 50_000 { SWEEPS / 8 } else { SWEEPS };
     for sweep in 0..sweeps {
         let mut relax = |v: usize| {
-            let around = adjacency.of(v);
+            let around = graph.neighbours(v);
             values[v] = around.iter().map(|&n| values[n as usize]).sum::<Vec3>() / around.len().max(1) as f32;
         };
         if sweep & 1 == 0 { order.iter().for_each(|&v| relax(v)) } else { order.iter().rev().for_each(|&v| relax(v)) }
@@ -241,10 +178,10 @@ mod tests {
     #[test]
     fn the_support_is_closed_flat_where_a_thing_stood_on_it() {
         let (mesh, segment) = bumpy(20);
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let gone = select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap();
         let cut = cut(&mesh, &gone);
-        let closed = Scene::new(&cut.kept);
+        let closed = RayScene::new(&cut.kept);
         for (x, y) in [(0.0, 0.0), (0.13, -0.1), (-0.19, 0.19), (0.3, 0.01)] {
             let hit = closed.closest_hit(Vec3::new(x, y, 1.0), Vec3::NEG_Z).expect("closed");
             assert!((hit.distance - 1.0).abs() < 1e-3, "{x} {y}: {}", hit.distance);
@@ -260,7 +197,7 @@ mod tests {
                 *s = if p.x < share { 1 } else { 2 };
             }
         };
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let check = |gone: &[bool]| {
             for (gone, p) in gone.iter().zip(&mesh.positions) {
                 let inside = p.x.abs().max(p.y.abs());
@@ -286,7 +223,7 @@ mod tests {
             !(wall && t.iter().any(|&i| mesh.positions[i as usize].x < -0.16))
         });
         let gone: Vec<bool> = segment.iter().map(|s| *s == 1).collect();
-        let closed = Scene::new(&cut(&mesh, &gone).kept);
+        let closed = RayScene::new(&cut(&mesh, &gone).kept);
         for (x, y) in [(0.0, 0.0), (-0.18, 0.1), (0.17, -0.17)] {
             let hit = closed.closest_hit(Vec3::new(x, y, 1.0), Vec3::NEG_Z).expect("closed");
             assert!((hit.distance - 1.0).abs() < 1e-3, "{x} {y}: {}", hit.distance);
@@ -296,7 +233,7 @@ mod tests {
     #[test]
     fn removals_that_make_no_sense_are_refused() {
         let (mesh, segment) = bumpy(8);
-        let scene = Scene::new(&mesh);
+        let scene = RayScene::new(&mesh);
         let say = |r: Removal| select(&mesh, &segment, &scene, &[r]).unwrap_err().to_string();
         assert!(say(Removal::Segment(9)).contains("no segment 9"));
         assert!(say(Removal::Box(Vec3::splat(5.0), Vec3::splat(6.0))).contains("no part"));
@@ -308,11 +245,11 @@ mod tests {
     #[test]
     fn a_membrane_continues_a_gradient() {
         let (mesh, _) = bumpy(16);
-        let adjacency = Adjacency::new(mesh.positions.len(), &mesh.triangles);
+        let graph = Graph::of(&mesh);
         let truth: Vec<Vec3> = mesh.positions.iter().map(|p| Vec3::splat(1.0 + p.x)).collect();
         let known: Vec<bool> = mesh.positions.iter().map(|p| p.x.abs().max(p.y.abs()) > 0.3).collect();
         let mut values: Vec<Vec3> = truth.iter().zip(&known).map(|(t, k)| if *k { *t } else { Vec3::ZERO }).collect();
-        inpaint(&mut values, &known, &adjacency);
+        inpaint(&mut values, &known, &graph);
         for (v, t) in values.iter().zip(&truth) {
             assert!((*v - *t).abs().max_element() < 0.02, "{v} {t}");
         }

@@ -1,7 +1,7 @@
 //! Which part of a surface is one thing: what rises from the support that it stands on. A fused scan is one piece of
 //! surface, and its segments are patches of one colour, so neither tells.
 
-use crate::render::removal::Adjacency;
+use crate::mesh::graph::Graph;
 use glam::{DMat3, Vec3};
 use recordings::types::Mesh;
 
@@ -34,7 +34,7 @@ impl Plane {
 
 /// The smallest thing around the vertex `seed` that stands on a large plane; `edge` is the mesh's median edge. `None` where there is no such support, or all above it is most of the scan.
 #[must_use]
-pub fn thing(mesh: &Mesh, adjacency: &Adjacency, edge: f32, seed: usize) -> Option<Vec<bool>> {
+pub fn thing(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> Option<Vec<bool>> {
     let n = mesh.positions.len();
     let thickness = THICKNESS * edge;
     let mut planes: Vec<(usize, Plane)> = (0..n)
@@ -55,10 +55,10 @@ pub fn thing(mesh: &Mesh, adjacency: &Adjacency, edge: f32, seed: usize) -> Opti
             continue;
         }
         tried.push(plane);
-        let Some(rough) = standing_on(mesh, adjacency, &plane, thickness, seed) else { continue };
+        let Some(rough) = standing_on(mesh, graph, &plane, thickness, seed) else { continue };
         // A table is not that flat: the same with the plane about the thing.
         let near = plane_about(mesh, &plane, thickness, &rough);
-        let found = near.and_then(|p| standing_on(mesh, adjacency, &p, thickness, seed)).unwrap_or(rough);
+        let found = near.and_then(|p| standing_on(mesh, graph, &p, thickness, seed)).unwrap_or(rough);
         let count = found.iter().filter(|x| **x).count();
         if best.as_ref().is_none_or(|(smallest, _)| count < *smallest) {
             best = Some((count, found));
@@ -72,15 +72,15 @@ fn lies_on(mesh: &Mesh, plane: &Plane, vertex: usize, thickness: f32) -> bool {
 }
 
 /// What is connected to `seed` above a plane without passing along it.
-fn standing_on(mesh: &Mesh, adjacency: &Adjacency, plane: &Plane, thickness: f32, seed: usize) -> Option<Vec<bool>> {
+fn standing_on(mesh: &Mesh, graph: &Graph, plane: &Plane, thickness: f32, seed: usize) -> Option<Vec<bool>> {
     let above = |v: usize| plane.height(mesh.positions[v]) > -thickness && !lies_on(mesh, plane, v, thickness);
-    let inside = above(seed).then(|| adjacency.flood(seed, above))?;
+    let inside = above(seed).then(|| graph.flood(seed, above))?;
     let count = inside.iter().filter(|x| **x).count();
     if count as f64 > LARGEST * inside.len() as f64 {
         return None;
     }
     let mut border: Vec<u32> =
-        (0..inside.len()).filter(|&v| inside[v]).flat_map(|v| adjacency.of(v)).copied().collect();
+        (0..inside.len()).filter(|&v| inside[v]).flat_map(|v| graph.neighbours(v)).copied().collect();
     border.retain(|&v| !inside[v as usize]);
     border.sort_unstable();
     border.dedup();
@@ -113,6 +113,6 @@ fn plane_about(mesh: &Mesh, plane: &Plane, thickness: f32, thing: &[bool]) -> Op
 
 /// With the neighbours of what is inside: a rim of the contact.
 #[must_use]
-pub fn grown(inside: &[bool], adjacency: &Adjacency) -> Vec<bool> {
-    (0..inside.len()).map(|v| inside[v] || adjacency.of(v).iter().any(|&i| inside[i as usize])).collect()
+pub fn grown(inside: &[bool], graph: &Graph) -> Vec<bool> {
+    (0..inside.len()).map(|v| inside[v] || graph.neighbours(v).iter().any(|&i| inside[i as usize])).collect()
 }
