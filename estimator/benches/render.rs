@@ -12,13 +12,14 @@ use estimator::render::inpainting::geometry::cut;
 use estimator::render::lighting::completion::infer;
 use estimator::render::lighting::observed_background::Backdrop;
 use estimator::render::lighting::panorama::{Panorama, Projector};
-use estimator::render::objects::{Material, Object, vertex_normals};
+use estimator::render::objects::material::Material;
+use estimator::render::objects::object::Object;
 use estimator::render::relight::{BANDS, NewLight, Relight};
 use estimator::render::removal::{Removal, select};
 use firmware_config::RealityConfig;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, Light, Segment};
-use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
+use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response, vertex_normals};
 use std::time::Instant;
 use usage::{peak_mib, processor_s};
 

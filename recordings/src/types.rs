@@ -221,6 +221,18 @@ pub struct ColorFrame {
     pub missing_packets: u32,
 }
 
+/// Unit vertex normals `[vertex]`: the mean of the adjacent triangles' normals by area; +Z where there is none.
+#[must_use]
+pub fn vertex_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
+    let mut sums = vec![DVec3::ZERO; positions.len()];
+    for t in triangles {
+        let [a, b, c] = t.map(|i| positions[i as usize].as_dvec3());
+        let normal = (b - a).cross(c - a);
+        t.iter().for_each(|i| sums[*i as usize] += normal);
+    }
+    sums.into_iter().map(|n| n.normalize_or(DVec3::Z).as_vec3()).collect()
+}
+
 /// A decoded 8-bit RGB image, interleaved, row-major.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RgbImage {

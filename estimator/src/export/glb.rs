@@ -278,12 +278,12 @@ fn pack(root: &Value, binary: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::export::testing::tiny;
-    use crate::render::objects::gltf;
+    use crate::render::objects::gltf::document;
 
     #[test]
     fn our_own_reader_gets_the_mesh_back() {
         let result = tiny();
-        let object = gltf::read(&scene(&result).unwrap(), Path::new(".")).unwrap();
+        let object = document::read(&scene(&result).unwrap(), Path::new(".")).unwrap();
         assert_eq!(object.mesh.triangles.len(), result.mesh.triangles.len());
         for t in &object.mesh.triangles {
             for &i in t {

@@ -1,31 +1,10 @@
 //! The mesh as binary PLY with everything known of each vertex.
 
 use crate::export::encode_srgb;
+use recordings::ply::write::{Column, write_ply};
 use recordings::result::Estimate;
-use std::fs::File;
-use std::io::{BufWriter, Result, Write};
+use std::io::{BufWriter, Result};
 use std::path::Path;
-
-/// Properties of a vertex, in order.
-const VERTEX: [(&str, &str); 17] = [
-    ("float", "x"),
-    ("float", "y"),
-    ("float", "z"),
-    ("float", "nx"),
-    ("float", "ny"),
-    ("float", "nz"),
-    ("uchar", "red"),
-    ("uchar", "green"),
-    ("uchar", "blue"),
-    ("float", "albedo_r"),
-    ("float", "albedo_g"),
-    ("float", "albedo_b"),
-    ("float", "lit_r"),
-    ("float", "lit_g"),
-    ("float", "lit_b"),
-    ("float", "confidence"),
-    ("int", "segment"),
-];
 
 /// Writes the mesh to `path`: `red green blue` is the lit colour as viewers show it (sRGB), `albedo_*` and `lit_*` are
 /// linear. Nothing appears under that name before it is complete.
@@ -33,66 +12,40 @@ const VERTEX: [(&str, &str); 17] = [
 /// # Errors
 /// The disk is full or gone.
 pub fn write(result: &Estimate, path: &Path) -> Result<()> {
-    super::write_whole(path, |file| write_to(result, BufWriter::new(file)))
-}
-
-fn write_to(result: &Estimate, mut out: BufWriter<&File>) -> Result<()> {
-    let mesh = &result.mesh;
-    writeln!(
-        out,
-        "ply\nformat binary_little_endian 1.0\ncomment Lumiscan: metres, +Z up, linear albedo and lit colour"
-    )?;
-    writeln!(out, "element vertex {}", mesh.positions.len())?;
-    for (kind, name) in VERTEX {
-        writeln!(out, "property {kind} {name}")?;
-    }
-    writeln!(out, "element face {}\nproperty list uchar int vertex_indices\nend_header", mesh.triangles.len())?;
-    for i in 0..mesh.positions.len() {
-        let (albedo, lit) = (result.albedo[i], result.lit_color[i]);
-        floats(&mut out, mesh.positions[i].as_ref())?;
-        floats(&mut out, mesh.normals[i].as_ref())?;
-        out.write_all(&lit.to_array().map(encode_srgb))?;
-        floats(&mut out, albedo.as_ref())?;
-        floats(&mut out, lit.as_ref())?;
-        floats(&mut out, &[result.confidence[i]])?;
-        out.write_all(&(result.segment[i] as i32).to_le_bytes())?;
-    }
-    for triangle in &mesh.triangles {
-        out.write_all(&[3])?;
-        for corner in triangle {
-            out.write_all(&(*corner as i32).to_le_bytes())?;
-        }
-    }
-    out.flush()
-}
-
-fn floats(out: &mut impl Write, values: &[f32]) -> Result<()> {
-    values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))
+    let shown: Vec<[u8; 3]> = result.lit_color.iter().map(|c| c.to_array().map(encode_srgb)).collect();
+    let segment: Vec<i32> = result.segment.iter().map(|s| *s as i32).collect();
+    let columns = [
+        (&["red", "green", "blue"][..], Column::Bytes(&shown)),
+        (&["albedo_r", "albedo_g", "albedo_b"], Column::Floats(&result.albedo)),
+        (&["lit_r", "lit_g", "lit_b"], Column::Floats(&result.lit_color)),
+        (&["confidence"], Column::Float(&result.confidence)),
+        (&["segment"], Column::Int(&segment)),
+    ];
+    super::write_whole(path, |file| {
+        let comment = "Lumiscan: metres, +Z up, linear albedo and lit colour";
+        write_ply(&mut BufWriter::new(file), comment, &result.mesh, &columns)
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::export::testing::tiny;
+    use recordings::ply::read::parse_ply;
 
     #[test]
-    fn sizes_and_values_are_where_the_header_says() {
+    fn every_column_is_written() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.ply");
         let result = tiny();
         write(&result, &path).unwrap();
-        let bytes = std::fs::read(&path).unwrap();
-        let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
-        let size = |kind: &str| if kind == "uchar" { 1 } else { 4 };
-        let stride: usize = VERTEX.iter().map(|(kind, _)| size(kind)).sum();
-        assert_eq!(bytes.len() - end, 3 * stride + 13);
-        let at = |vertex: usize, name: &str| {
-            let column = VERTEX.iter().position(|(_, n)| *n == name).unwrap();
-            let offset = end + vertex * stride + VERTEX[..column].iter().map(|(k, _)| size(k)).sum::<usize>();
-            <[u8; 4]>::try_from(&bytes[offset..offset + 4]).unwrap()
-        };
-        assert_eq!(f32::from_le_bytes(at(1, "x")), result.mesh.positions[1].x);
-        assert_eq!(f32::from_le_bytes(at(2, "albedo_g")), result.albedo[2].y);
-        assert_eq!(i32::from_le_bytes(at(2, "segment")), 1);
+        let names = ["albedo_g", "lit_r", "green", "confidence", "segment"];
+        let (mesh, columns) = parse_ply(&std::fs::read(&path).unwrap(), &names).unwrap();
+        assert_eq!((&mesh.positions, &mesh.triangles), (&result.mesh.positions, &result.mesh.triangles));
+        assert_eq!(columns.iter().map(|c| c.name.as_str()).collect::<Vec<_>>(), names);
+        let [albedo, lit, green, confidence, segment] = [0, 1, 2, 3, 4].map(|k| &columns[k].values);
+        assert_eq!(**albedo, result.albedo.iter().map(|a| a.y).collect::<Vec<_>>());
+        assert_eq!(**lit, result.lit_color.iter().map(|a| a.x).collect::<Vec<_>>());
+        assert_eq!((green[2], confidence[1], segment[2]), (255.0, 1.0, 1.0));
     }
 }

@@ -3,7 +3,8 @@
 use crate::numerics::random::hash;
 use crate::rays::{Hit, RayScene};
 use crate::render::lighting::environment::Environment;
-use crate::render::objects::{Look, Object, interpolate};
+use crate::render::objects::material::Look;
+use crate::render::objects::object::{Object, interpolate};
 use crate::render::sampling::{Cone, cosine, cosine_density, ggx_normal, point, smith};
 use glam::Vec3;
 use std::f32::consts::PI;

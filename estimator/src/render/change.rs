@@ -7,7 +7,8 @@ use crate::render::inpainting::geometry::Cut;
 use crate::render::inpainting::texture::carry_on;
 use crate::render::lighting::environment::Environment;
 use crate::render::lighting::observed_background::Backdrop;
-use crate::render::objects::{Material, Object};
+use crate::render::objects::material::Material;
+use crate::render::objects::object::Object;
 use crate::render::removal::inpaint;
 use firmware_config::RealityConfig;
 use glam::Vec3;
@@ -72,7 +73,7 @@ pub fn scanned(estimate: &Estimate) -> Object {
         mesh: estimate.mesh.clone(),
         color: estimate.albedo.clone(),
         uv: Vec::new(),
-        material: estimate.mesh.triangles.iter().map(|t| estimate.segment[t[0] as usize] as u16).collect(),
+        material: estimate.mesh.triangles.iter().map(|t| estimate.segment[t[0] as usize]).collect(),
         materials: estimate.segments.iter().map(material).collect(),
     }
 }
@@ -101,7 +102,7 @@ pub fn change(
         .mesh
         .triangles
         .iter()
-        .map(|t| t.iter().filter_map(|&i| estimate.segment.get(i as usize)).next().map_or(0, |s| *s as u16))
+        .map(|t| t.iter().filter_map(|&i| estimate.segment.get(i as usize)).next().map_or(0, |s| *s))
         .collect();
     let mut changes: Vec<Ball> = Vec::new();
     let removed = (!removed.triangles.is_empty()).then(|| {

@@ -8,7 +8,7 @@ use crate::numerics::random::hash;
 use crate::rays::Hit;
 use crate::render::before_after_scene::{Body, Side, Spot};
 use crate::render::change::{Changed, ratio, rays};
-use crate::render::objects::{interpolate, weights};
+use crate::render::objects::object::{interpolate, weights};
 use crate::render::sampling::point;
 use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};

@@ -7,7 +7,8 @@ use crate::render::before_after_scene::{Met, Part, Side};
 use crate::render::change::Changed;
 use crate::render::compose::{Picture, Viewpoint};
 use crate::render::lighting::environment::Environment;
-use crate::render::objects::weights;
+use crate::render::objects::material::Look;
+use crate::render::objects::object::weights;
 use crate::render::sampling::point;
 use crate::transfer::{Transfer, bounce, trace};
 use firmware_config::RealityConfig;
@@ -66,7 +67,7 @@ pub struct Relight {
     scanned: Vec<Vec3>,
     scene: RayScene,
     mesh: recordings::types::Mesh,
-    looks: Vec<crate::render::objects::Look>,
+    looks: Vec<Look>,
     kept: usize,
 }
 

@@ -2,6 +2,7 @@
 //!
 //! This is the one place that looks at truth. Nothing here feeds back into an estimate.
 
+pub mod alignment;
 pub mod plot;
 pub mod truth;
 

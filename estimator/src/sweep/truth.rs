@@ -1,16 +1,20 @@
-//! Scenes whose albedo and lit colour are known, vertex by vertex.
+//! Scenes whose albedo and lit colour are known, vertex by vertex. Ground truth is read inside the product because
+//! `lumiscan trade` measures on the user's own machine; nothing but the sweep uses it.
 
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
+use crate::sweep::alignment::rigid_alignment;
 use crate::sweep::luminous;
 use glam::{DVec3, Mat3, Vec3};
-use nalgebra::{Matrix3, Vector3};
+use recordings::import::npy::Array;
+use recordings::import::trajectory::read_trajectory;
+use recordings::ply::read::{VertexColumn, parse_ply, read_ply};
 use recordings::types::{Mesh, Pose};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Arrays and headers longer than this are not read.
-const MOST_BYTES: u64 = 1 << 30;
+/// Columns of albedo and lit colour in the mesh of a synthetic recording.
+const COLUMNS: [[&str; 3]; 2] = [["albedo_r", "albedo_g", "albedo_b"], ["lit_r", "lit_g", "lit_b"]];
 /// Normals of the same surface point agree within this cosine.
 const SAME_SIDE: f32 = 0.7;
 
@@ -49,10 +53,13 @@ impl Truth {
     /// # Errors
     /// A file is missing or of another kind.
     pub fn of_photos(folder: &Path) -> Result<Self, String> {
-        let mesh = recordings::ply::read_ply(&folder.join("mesh.ply")).map_err(|e| e.to_string())?;
-        let albedo = read_npy(&folder.join("truth/albedo.npy"))?;
-        let lit = read_npy(&folder.join("truth/lit_color.npy"))?;
-        Self::new(mesh.positions, mesh.normals, albedo, &lit, BTreeMap::new())
+        let read = || -> Result<_, recordings::Error> {
+            let mesh = read_ply(&folder.join("mesh.ply"))?;
+            let rows = |name: &str| read_rows(&folder.join("truth").join(name));
+            Ok((mesh, rows("albedo.npy")?, rows("lit_color.npy")?))
+        };
+        let (mesh, albedo, lit) = read().map_err(|e| e.to_string())?;
+        Self::new(mesh, albedo, &lit, BTreeMap::new())
     }
 
     /// A folder with `mesh.ply` (albedo and lit colour per vertex) and `trajectory.txt`, as the synthetic Kinect writes it.
@@ -60,22 +67,24 @@ impl Truth {
     /// # Errors
     /// A file is missing or of another kind.
     pub fn of_recording(folder: &Path) -> Result<Self, String> {
-        let rows = read_vertices(&folder.join("mesh.ply"))?;
-        let take =
-            |from: usize| rows.iter().map(|r| Vec3::new(r[from], r[from + 1], r[from + 2])).collect::<Vec<Vec3>>();
-        let path = folder.join("trajectory.txt");
-        let text = std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))?;
-        let trajectory = text.lines().filter(|l| !l.starts_with('#')).filter_map(pose_of).collect();
-        Self::new(take(0), take(3), take(6), &take(9), trajectory)
+        let path = folder.join("mesh.ply");
+        let named = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
+        let bytes = std::fs::read(&path).map_err(|e| named(&e))?;
+        let (mesh, columns) = parse_ply(&bytes, COLUMNS.as_flattened()).map_err(|e| named(&e))?;
+        let [r, g, b, lit_r, lit_g, lit_b] = columns.as_slice() else {
+            return Err(named(&"not a mesh with albedo_r … albedo_b and lit_r … lit_b per vertex"));
+        };
+        let rows = |[r, g, b]: [&VertexColumn; 3]| -> Vec<Vec3> {
+            let pairs = r.values.iter().zip(&g.values).zip(&b.values);
+            pairs.map(|((r, g), b)| Vec3::new(*r, *g, *b)).collect()
+        };
+        let trajectory = read_trajectory(&folder.join("trajectory.txt")).map_err(|e| e.to_string())?;
+        let trajectory = trajectory.into_iter().map(|(time, pose)| (time / 1000, pose)).collect();
+        Self::new(mesh, rows([r, g, b]), &rows([lit_r, lit_g, lit_b]), trajectory)
     }
 
-    fn new(
-        positions: Vec<Vec3>,
-        normals: Vec<Vec3>,
-        albedo: Vec<Vec3>,
-        lit: &[Vec3],
-        trajectory: BTreeMap<i64, Pose>,
-    ) -> Result<Self, String> {
+    fn new(mesh: Mesh, albedo: Vec<Vec3>, lit: &[Vec3], trajectory: BTreeMap<i64, Pose>) -> Result<Self, String> {
+        let Mesh { positions, normals, .. } = mesh;
         if positions.is_empty() || [normals.len(), albedo.len(), lit.len()].iter().any(|n| *n != positions.len()) {
             return Err("truth: arrays of different lengths".into());
         }
@@ -118,23 +127,9 @@ impl Truth {
                 pairs.extend(marks(pose).into_iter().zip(marks(known)));
             }
         }
-        if pairs.is_empty() {
-            return (Mat3::IDENTITY, Vec3::ZERO);
-        }
-        let n = pairs.len() as f64;
-        let (from, to) = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |(a, b), p| (a + p.0 / n, b + p.1 / n));
-        // Kabsch.
-        let mut cross = Matrix3::<f64>::zeros();
-        for (a, b) in &pairs {
-            let (a, b) = ((*a - from).to_array(), (*b - to).to_array());
-            cross += Vector3::from(b) * Vector3::from(a).transpose();
-        }
-        let svd = cross.svd(true, true);
-        let (Some(u), Some(v)) = (svd.u, svd.v_t) else { return (Mat3::IDENTITY, Vec3::ZERO) };
-        let sign = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v).determinant().signum()));
-        let r = u * sign * v;
-        let rotation = Mat3::from_cols_array(&std::array::from_fn(|i| r[(i % 3, i / 3)] as f32));
-        (rotation, to.as_vec3() - rotation * from.as_vec3())
+        let aligned = rigid_alignment(&pairs);
+        aligned
+            .map_or((Mat3::IDENTITY, Vec3::ZERO), |(rotation, translation)| (rotation.as_mat3(), translation.as_vec3()))
     }
 }
 
@@ -163,62 +158,10 @@ fn relative_error(ratios: &[Vec3]) -> f64 {
     median(relative).unwrap_or(f64::NAN)
 }
 
-/// `timestamp tx ty tz qx qy qz qw`, by microseconds.
-fn pose_of(line: &str) -> Option<(i64, Pose)> {
-    let mut fields = line.split_whitespace();
-    let time = recordings::parse_seconds(fields.next()?)?;
-    let v: Vec<f64> = fields.map(str::parse).collect::<Result<_, _>>().ok()?;
-    let [tx, ty, tz, qx, qy, qz, qw] = v.try_into().ok()?;
-    let pose = Pose::new(glam::DQuat::from_xyzw(qx, qy, qz, qw), DVec3::new(tx, ty, tz));
-    Some((time / 1000, pose))
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, String> {
-    let told = |e: &dyn std::fmt::Display| format!("{}: {e}", path.display());
-    let length = std::fs::metadata(path).map_err(|e| told(&e))?.len();
-    if length > MOST_BYTES {
-        return Err(told(&"too large"));
-    }
-    std::fs::read(path).map_err(|e| told(&e))
-}
-
-/// Rows of three floats from a NumPy file (little endian, C order).
-fn read_npy(path: &Path) -> Result<Vec<Vec3>, String> {
-    let bytes = read(path)?;
-    let parse = || {
-        let length = usize::from(u16::from_le_bytes(bytes.get(8..10)?.try_into().ok()?));
-        let header = std::str::from_utf8(bytes.get(10..10 + length)?).ok()?;
-        (bytes.starts_with(b"\x93NUMPY\x01") && header.contains("'<f4'") && header.contains("False"))
-            .then(|| bytes.get(10 + length..))?
-    };
-    let data = parse().ok_or_else(|| format!("{}: not an array of 32-bit floats", path.display()))?;
-    Ok(data.chunks_exact(12).map(|c| Vec3::from_array([0, 4, 8].map(|o| float(c, o)))).collect())
-}
-
-/// The first twelve numbers of every vertex of a binary PLY whose vertices begin with twelve floats.
-fn read_vertices(path: &Path) -> Result<Vec<[f32; 12]>, String> {
-    let bytes = read(path)?;
-    let parse = || {
-        let end = b"end_header\n";
-        let start = bytes.windows(end.len()).take(4096).position(|w| w == end)? + end.len();
-        let header = std::str::from_utf8(&bytes[..start]).ok()?;
-        let vertex = header.split("element vertex ").nth(1)?;
-        let count: usize = vertex.lines().next()?.trim().parse().ok()?;
-        let properties: Vec<&str> = vertex.lines().skip(1).take_while(|l| l.starts_with("property")).collect();
-        let floats = properties.iter().take_while(|l| l.starts_with("property float")).count();
-        let others = properties.iter().skip(floats);
-        let stride = 4 * floats + others.clone().filter(|l| l.starts_with("property uchar")).count();
-        if !header.contains("binary_little_endian") || floats != 12 || others.count() != stride - 48 {
-            return None;
-        }
-        bytes.get(start..start.checked_add(count.checked_mul(stride)?)?).map(|b| (b, stride))
-    };
-    let (data, stride) = parse().ok_or_else(|| format!("{}: not a mesh with truth", path.display()))?;
-    Ok(data.chunks_exact(stride).map(|c| std::array::from_fn(|i| float(c, 4 * i))).collect())
-}
-
-fn float(bytes: &[u8], at: usize) -> f32 {
-    bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map_or(f32::NAN, f32::from_le_bytes)
+/// Rows `[vertex][rgb]` of an array.
+fn read_rows(path: &Path) -> Result<Vec<Vec3>, recordings::Error> {
+    let rows = Array::read(path)?.rgb();
+    Ok(rows.into_iter().map(|row| Vec3::from_array(row.map(|x| x as f32))).collect())
 }
 
 #[cfg(test)]
@@ -248,14 +191,8 @@ mod tests {
         // A third of the square, which finer vertices might crowd, is told wrong by a fifth.
         let answer = |p: &Vec3| Vec3::splat(if p.x > 0.68 { 0.6 } else { 0.5 });
         let count = known.positions.len();
-        let truth = Truth::new(
-            known.positions.clone(),
-            known.normals.clone(),
-            vec![Vec3::splat(0.5); count],
-            &vec![Vec3::splat(0.5); count],
-            BTreeMap::new(),
-        )
-        .expect("arrays of one length");
+        let grey = vec![Vec3::splat(0.5); count];
+        let truth = Truth::new(known.clone(), grey.clone(), &grey, BTreeMap::new()).expect("arrays of one length");
         let share_wrong = |mesh: &Mesh| {
             let albedo: Vec<Vec3> = mesh.positions.iter().map(answer).collect();
             let irradiance = vec![Vec3::ONE; albedo.len()];

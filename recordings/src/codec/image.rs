@@ -47,38 +47,62 @@ impl ColorFrame {
                 if (header.width, header.height) != (width, height) {
                     return Err(format!("is {}x{}, expected {width}x{height}", header.width, header.height));
                 }
-                match self.encoding {
-                    ColorEncoding::Jpeg => decode_jpeg(&self.bytes)?,
-                    _ => decode_png(&self.bytes)?,
-                }
+                decode_whole(&self.bytes, header)?
             }
         };
-        if data.len() != 3 * pixels {
-            return Err(format!("decoded to {} bytes instead of {}", data.len(), 3 * pixels));
-        }
         Ok(RgbImage { width, height, data })
     }
+}
+
+impl RgbImage {
+    /// Decodes a PNG or JPEG of whatever size its header says.
+    ///
+    /// # Errors
+    /// A description of what is wrong with the bytes (truncated, too large, not a picture).
+    pub fn decode(bytes: &[u8]) -> Result<Self, String> {
+        let header = PictureHeader::read(bytes)?;
+        let data = decode_whole(bytes, header)?;
+        Ok(Self { width: header.width, height: header.height, data })
+    }
+}
+
+fn decode_whole(bytes: &[u8], header: PictureHeader) -> Result<Vec<u8>, String> {
+    let data = match header.encoding {
+        ColorEncoding::Jpeg => decode_jpeg(bytes)?,
+        _ => decode_png(bytes)?,
+    };
+    let expected = 3 * checked_pixels(header.width, header.height)?;
+    if data.len() != expected {
+        return Err(format!("decoded to {} bytes instead of {expected}", data.len()));
+    }
+    Ok(data)
 }
 
 fn checked_pixels(width: u32, height: u32) -> Result<usize, String> {
     let pixels = u64::from(width) * u64::from(height);
     if pixels == 0 || pixels > MAX_PIXELS || width > MAX_SIDE || height > MAX_SIDE {
-        return Err(format!("{width}x{height} is no size that can be decoded"));
+        return Err(format!("{width}x{height} pixels cannot be decoded: none, or too many; scale it down"));
     }
     Ok(pixels as usize)
 }
 
 /// What a whole, untruncated PNG or JPEG says of itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct PictureHeader {
+pub struct PictureHeader {
+    /// PNG or JPEG.
     pub encoding: ColorEncoding,
+    /// Pixels per row.
     pub width: u32,
+    /// Rows.
     pub height: u32,
 }
 
 impl PictureHeader {
     /// Walks the file's structure to its end without decoding pixels, so that a truncated picture is found at once.
-    pub(crate) fn read(bytes: &[u8]) -> Result<Self, String> {
+    ///
+    /// # Errors
+    /// Neither PNG nor JPEG, truncated, damaged, or of a size that is not decoded.
+    pub fn read(bytes: &[u8]) -> Result<Self, String> {
         let header = if bytes.starts_with(PNG_SIGNATURE) {
             walk_png(bytes)
         } else if bytes.starts_with(&[0xff, 0xd8]) {

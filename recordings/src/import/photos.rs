@@ -7,7 +7,7 @@ use crate::codec::image::PictureHeader;
 use crate::error::{Error, Result};
 use crate::import::lists::read_text;
 use crate::import::tum::read_picture;
-use crate::ply::read_ply;
+use crate::ply::read::read_ply;
 use crate::scan::{CaptureStats, Scan, ScanSource};
 use crate::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Keyframe, Pose, Response, Sensor};
 use serde::Deserialize;
@@ -192,6 +192,7 @@ fn pose(rows: &[Vec<f64>]) -> Option<Pose> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ply::write::write_ply;
     use crate::testing::{GRADIENT_JPEG, bumpy_mesh, refuses_damage, shared};
     use glam::DVec3;
 
@@ -199,13 +200,18 @@ mod tests {
         {"file_path": "images/b", "transform_matrix": [[1,0,0,1],[0,1,0,2],[0,0,1,3],[0,0,0,1]], "time_s": 2.5},
         {"file_path": "./images/a.jpg", "transform_matrix": [[1,0,0,0],[0,0,-1,0],[0,1,0,0]], "fl_x": 40, "cx": 3, "k1": 0}]}"#;
 
+    fn write_mesh(path: &Path, side: u32) {
+        let mut file = std::fs::File::create(path).unwrap();
+        write_ply(&mut file, "", &bumpy_mesh(side), &[]).unwrap();
+    }
+
     fn folder(transforms: &str) -> tempfile::TempDir {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir(dir.path().join("images")).unwrap();
         for name in ["images/a.jpg", "images/b.jpeg"] {
             std::fs::write(dir.path().join(name), GRADIENT_JPEG).unwrap();
         }
-        crate::ply::write_ply(&dir.path().join("mesh.ply"), &bumpy_mesh(5), &[]).unwrap();
+        write_mesh(&dir.path().join("mesh.ply"), 5);
         std::fs::write(dir.path().join("transforms.json"), transforms).unwrap();
         dir
     }
@@ -228,7 +234,7 @@ mod tests {
         assert_eq!(b.color.bytes, GRADIENT_JPEG);
         assert!(scan.witnesses.is_empty() && scan.source == ScanSource::Photos);
         let other = dir.path().join("images/other.ply");
-        crate::ply::write_ply(&other, &bumpy_mesh(3), &[]).unwrap();
+        write_mesh(&other, 3);
         assert_eq!(import_photos(dir.path(), Some(&other)).unwrap().mesh.positions.len(), 9);
     }
 

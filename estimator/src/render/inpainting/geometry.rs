@@ -1,10 +1,9 @@
 //! Cuts a part of a surface away and closes what that leaves open.
 
 use crate::mesh::graph::Graph;
-use crate::render::objects::vertex_normals;
 use crate::render::removal::SWEEPS;
 use glam::Vec3;
-use recordings::types::Mesh;
+use recordings::types::{Mesh, vertex_normals};
 use std::collections::BTreeMap;
 
 /// An open border half of which lies within this many edges of a removed piece was hidden by it.

@@ -6,18 +6,16 @@ use crate::numerics::sh;
 use crate::render::RealityError;
 use crate::render::Result;
 use crate::render::lighting::environment::Environment;
-use crate::render::objects::gltf;
 use glam::Vec3;
 use rayon::prelude::*;
-use recordings::types::Response;
+use recordings::codec::image::PictureHeader;
+use recordings::types::{Response, RgbImage};
 use std::f32::consts::{PI, TAU};
 use std::io::{BufRead, Read, Seek};
 use std::path::Path;
 
 /// Widest panorama that is accepted, in pixels.
 const WIDEST: usize = 16_384;
-/// Widest PNG or JPEG, which is decoded as a whole: 100 MB.
-const WIDEST_PICTURE: u32 = 8192;
 /// Widest that is kept: finer than the texels of an [`Environment`].
 const KEPT: usize = 1024;
 /// Largest file, in bytes.
@@ -113,13 +111,10 @@ impl Panorama {
         } else {
             let mut bytes = Vec::new();
             file.read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-            if let Some((width, height, _)) = gltf::picture_size(&bytes) {
-                Reduced::new(width as usize, height as usize)?;
-                if width > WIDEST_PICTURE {
-                    return Err(format!("is {width} pixels wide, more than {WIDEST_PICTURE}; scale it down first"));
-                }
-            }
-            let image = gltf::decode(bytes).map_err(|e| format!("is no panorama that can be read: {e}"))?;
+            let unreadable = |e: String| format!("is no panorama that can be read: {e}");
+            let header = PictureHeader::read(&bytes).map_err(unreadable)?;
+            Reduced::new(header.width as usize, header.height as usize)?;
+            let image = RgbImage::decode(&bytes).map_err(unreadable)?;
             let (width, height) = (image.width as usize, image.height as usize);
             let table = Response::Srgb.linear_table();
             let mut out = Reduced::new(width, height)?;
@@ -369,7 +364,9 @@ mod tests {
         assert!(say(b"#?RADIANCE\n\n-Y 4 +X 9\n".to_vec()).contains("9x4"));
         assert!(say(b"#?RADIANCE\n\n-Y 20000 +X 40000\n".to_vec()).contains("more than"));
         assert!(say(b"#?RADIANCE\n\n-Y 2 +X 4\nabc".to_vec()).contains("truncated"));
-        let png = [&b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"[..], &16384u32.to_be_bytes(), &8192u32.to_be_bytes()].concat();
+        let head = [&b"IHDR"[..], &16384u32.to_be_bytes(), &8192u32.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
+        let crc = 0xad1ccb36_u32.to_be_bytes();
+        let png = [b"\x89PNG\r\n\x1a\n\0\0\0\r", &head[..], &crc, b"\0\0\0\0IEND\xae\x42\x60\x82"].concat();
         assert!(say(png).contains("scale it down"));
         assert!(Panorama::new(2, vec![Vec3::NAN; 2]).unwrap_err().contains("NaN"));
         assert!(Panorama::new(2, vec![Vec3::NEG_ONE; 2]).unwrap_err().contains("negative"));

@@ -5,9 +5,10 @@ use crate::render::RealityError;
 use crate::render::Result;
 use crate::render::change::scanned;
 use crate::render::compose::Viewpoint;
-use crate::render::objects::gltf;
+use crate::render::objects::gltf::document;
+use crate::render::objects::material::Material;
+use crate::render::objects::object::Object;
 use crate::render::objects::ply;
-use crate::render::objects::{Material, Object};
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
 use recordings::types::Mesh;
@@ -130,7 +131,7 @@ fn from_file(path: &Path) -> Result<Object> {
     }
     let bytes = std::fs::read(path).map_err(|e| RealityError::file(path, e))?;
     let folder = path.parent().unwrap_or(Path::new("."));
-    let object = if bytes.starts_with(b"ply") { ply::read(&bytes) } else { gltf::read(&bytes, folder) };
+    let object = if bytes.starts_with(b"ply") { ply::read(&bytes) } else { document::read(&bytes, folder) };
     object.map_err(|e| RealityError::file(path, e))
 }
 

@@ -1,8 +1,9 @@
 //! An object from a PLY file: what `recordings` reads, with its colours and texture coordinates.
 
-use crate::render::objects::{Material, Object, finish};
+use crate::render::objects::material::Material;
+use crate::render::objects::object::{Object, finish};
 use glam::{Vec2, Vec3};
-use recordings::ply::{VertexColumn, parse_ply};
+use recordings::ply::read::{VertexColumn, parse_ply};
 use recordings::types::Response;
 
 /// Names of colours and texture coordinates: any of them that a file has.

@@ -150,7 +150,7 @@ pub fn inpaint(values: &mut [Vec3], known: &[bool], graph: &Graph) {
 mod tests {
     use super::*;
     use crate::render::inpainting::geometry::cut;
-    use crate::render::objects::vertex_normals;
+    use recordings::types::vertex_normals;
 
     /// A plane of n × n quads with a bump of segment 1 in its middle, one surface.
     fn bumpy(n: u32) -> (Mesh, Vec<u32>) {

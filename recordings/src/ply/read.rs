@@ -1,8 +1,8 @@
-//! PLY meshes: read in every format and property order, written with any further per-vertex columns.
+//! Reads PLY meshes in every format and property order, with any further per-vertex columns.
 
 use crate::error::{Error, Result};
-use crate::types::Mesh;
-use glam::{DVec3, Vec3};
+use crate::types::{Mesh, vertex_normals};
+use glam::Vec3;
 use std::path::Path;
 
 /// Bytes of the largest mesh file that is read.
@@ -188,7 +188,7 @@ pub fn parse_ply(bytes: &[u8], wanted: &[&str]) -> Parsed<(Mesh, Vec<VertexColum
     if mesh.triangles.is_empty() {
         return Err("the mesh has no triangles".into());
     }
-    let computed = mesh.area_weighted_normals();
+    let computed = vertex_normals(&mesh.positions, &mesh.triangles);
     if mesh.normals.is_empty() {
         mesh.normals = computed;
     } else {
@@ -318,78 +318,9 @@ fn read_faces(body: &mut Body, element: &Element, mesh: &mut Mesh) -> Parsed<()>
     Ok(())
 }
 
-impl Mesh {
-    /// Unit vertex normals: the mean of the adjacent triangles' normals by area; +Z where there is none.
-    #[must_use]
-    pub fn area_weighted_normals(&self) -> Vec<Vec3> {
-        let mut sums = vec![DVec3::ZERO; self.positions.len()];
-        for t in &self.triangles {
-            let [a, b, c] = t.map(|i| self.positions[i as usize].as_dvec3());
-            let normal = (b - a).cross(c - a);
-            t.iter().for_each(|i| sums[*i as usize] += normal);
-        }
-        sums.into_iter().map(|n| n.normalize_or(DVec3::Z).as_vec3()).collect()
-    }
-}
-
-/// Values of a per-vertex column.
-#[derive(Debug, Clone, Copy)]
-pub enum Column<'a> {
-    /// `float`.
-    Float(&'a [f32]),
-    /// `int`.
-    Int(&'a [i32]),
-    /// `uchar`.
-    Byte(&'a [u8]),
-}
-
-/// Writes a binary little-endian PLY: x y z, nx ny nz if the mesh has normals, the columns, and the triangles.
-///
-/// # Errors
-/// A column of another length than the mesh, or the file cannot be written.
-pub fn write_ply(path: &Path, mesh: &Mesh, columns: &[(&str, Column)]) -> Result<()> {
-    let n = mesh.positions.len();
-    let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {n}\n");
-    let normals: &[&str] = if mesh.normals.is_empty() { &[] } else { &["nx", "ny", "nz"] };
-    for name in ["x", "y", "z"].iter().chain(normals) {
-        header += &format!("property float {name}\n");
-    }
-    for (name, column) in columns {
-        let (kind, length) = match column {
-            Column::Float(v) => ("float", v.len()),
-            Column::Int(v) => ("int", v.len()),
-            Column::Byte(v) => ("uchar", v.len()),
-        };
-        if length != n {
-            let problem = format!("column {name} has {length} values for {n} vertices");
-            return Err(Error::invalid(path, problem, "this mesh cannot be written"));
-        }
-        header += &format!("property {kind} {name}\n");
-    }
-    header += &format!("element face {}\nproperty list uchar int vertex_indices\nend_header\n", mesh.triangles.len());
-    let mut out = header.into_bytes();
-    for v in 0..n {
-        let vectors = [Some(mesh.positions[v]), mesh.normals.get(v).copied()];
-        out.extend(vectors.into_iter().flatten().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes));
-        for (_, column) in columns {
-            match column {
-                Column::Float(values) => out.extend(values[v].to_le_bytes()),
-                Column::Int(values) => out.extend(values[v].to_le_bytes()),
-                Column::Byte(values) => out.push(values[v]),
-            }
-        }
-    }
-    for triangle in &mesh.triangles {
-        out.push(3);
-        out.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
-    }
-    std::fs::write(path, out).map_err(|e| Error::io(path, e))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::bumpy_mesh;
     use proptest::prelude::*;
 
     fn parse(bytes: &[u8]) -> Parsed<Mesh> {
@@ -411,19 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn written_meshes_come_back_in_both_byte_orders() {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("mesh.ply");
-        let mesh = bumpy_mesh(6);
-        let (floats, ints, bytes) = ([0.5; 36], [-7; 36], [200; 36]);
-        let columns =
-            [("albedo_r", Column::Float(&floats)), ("segment", Column::Int(&ints)), ("m", Column::Byte(&bytes))];
-        write_ply(&path, &mesh, &columns).unwrap();
-        let back = read_ply(&path).unwrap();
-        assert_eq!((&back.positions, &back.triangles), (&mesh.positions, &mesh.triangles));
-        assert!(back.normals.iter().zip(&mesh.normals).all(|(a, b)| (a - b).length() < 1e-6));
-        assert!(write_ply(&path, &mesh, &[("short", Column::Int(&[1]))]).is_err());
-
+    fn big_endian_meshes_are_read() {
         let mut big = b"ply\nformat binary_big_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n\
             property double z\nelement face 1\nproperty list ushort uint vertex_index\nend_header\n"
             .to_vec();
