@@ -9,7 +9,6 @@
 mod usage;
 
 use estimator::Options;
-use estimator::Progress;
 use estimator::association;
 use estimator::factorisation::{Colors, Settings, factorise};
 use estimator::mesh::regularise;
@@ -38,11 +37,6 @@ const PAPER: [(usize, [f64; 6]); 5] = [
 const KEYFRAMES: usize = 20;
 /// Rays per vertex, the default.
 const RAYS: u32 = 128;
-
-struct Silent;
-impl Progress for Silent {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
 
 /// What was made, and the seconds of wall and of processor time it took.
 fn timed<T>(work: impl FnOnce() -> T) -> (T, DVec2) {
@@ -74,9 +68,8 @@ fn main() {
             EstimatorConfig { max_vertices: size as u32, regularise: 0.01, rays: RAYS, ..EstimatorConfig::default() };
         let mesh = regularise::regularise(&scan.mesh, &config, ScanSource::Fusion);
         let scene = RayScene::new(&mesh);
-        let progress = Silent;
         let (fields, association) =
-            timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &progress));
+            timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &()));
         let (segment, segmentation) =
             timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
@@ -96,7 +89,7 @@ fn main() {
         let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &settings, None));
         drop(fields);
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
-        let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &progress).expect("an answer"));
+        let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &()).expect("an answer"));
         all_in.push((mesh.positions.len() as f64, whole.y));
         let total = gi + segmentation + iteration;
         let times = [diffuse, shade, gi, segmentation, iteration, total, association, whole];

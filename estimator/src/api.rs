@@ -24,3 +24,8 @@ pub trait Progress: Sync {
     /// `fraction` of stage `name` is done (0 at its start, 1 at its end).
     fn stage(&self, name: &'static str, fraction: f64);
 }
+
+/// Reports nothing.
+impl Progress for () {
+    fn stage(&self, _: &'static str, _: f64) {}
+}

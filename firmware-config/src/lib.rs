@@ -184,27 +184,12 @@ impl Config {
         let hint = self
             .settings()
             .iter()
-            .map(|s| (distance(field, s.key.rsplit('.').next().unwrap_or("")), s.key.clone()))
+            .map(|s| (strsim::levenshtein(field, s.key.rsplit('.').next().unwrap_or("")), s.key.clone()))
             .min()
             .filter(|(d, _)| *d <= 3)
             .map_or(String::new(), |(_, k)| format!(" (did you mean `{k}`?)"));
         ConfigError::UnknownKey { key: key.into(), hint }
     }
-}
-
-/// Levenshtein distance in bytes.
-fn distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.bytes().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.bytes().enumerate() {
-            let substitute = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = substitute.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ use estimator::render::relight::{BANDS, NewLight, Relight};
 use firmware_config::RealityConfig;
 use glam::{DQuat, DVec3, Vec3};
 use rayon::prelude::*;
+use recordings::import::trajectory::read_trajectory;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Pose, Response};
 use std::error::Error;
@@ -98,17 +99,9 @@ fn evening(d: Vec3) -> Vec3 {
 /// Where the keyframe's picture was taken.
 fn true_pose(keyframe: &ResultKeyframe) -> Result<Pose, Box<dyn Error>> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop_truth/trajectory.txt");
-    let text = std::fs::read_to_string(path)?;
-    let time_s = keyframe.timestamp_ns as f64 * 1e-9;
-    for line in text.lines().filter(|line| !line.starts_with('#')) {
-        let numbers = line.split(' ').map(str::parse).collect::<Result<Vec<f64>, _>>()?;
-        let [time, x, y, z, i, j, k, w] = numbers[..] else { return Err("a pose has eight numbers".into()) };
-        if (time - time_s).abs() < 1e-4 {
-            let rotation = DQuat::from_xyzw(i, j, k, w).normalize();
-            return Ok(Pose { rotation, translation: DVec3::new(x, y, z) });
-        }
-    }
-    Err("the result is not one of the bundled recording".into())
+    let near = |time: i64| (time - keyframe.timestamp_ns).abs() < 100_000;
+    let found = read_trajectory(&path)?.into_iter().find(|(time, _)| near(*time));
+    Ok(found.ok_or("the result is not one of the bundled recording")?.1)
 }
 
 /// The recording's camera at the size of the pictures.

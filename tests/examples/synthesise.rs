@@ -4,15 +4,17 @@
 //! number of threads.
 
 use glam::Vec3;
+use recordings::import::trajectory::format_trajectory;
+use recordings::ply::write::{Column, write_ply};
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
 use recordings::types::{ColorEncoding, ColorFrame, RgbImage, TimestampNs};
 use serde_json::json;
 use std::error::Error;
-use std::io::Write;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 use tests::synth::kinect::{Frame, Kinect};
 use tests::synth::render::Shading;
-use tests::synth::scene::Scene;
+use tests::synth::scene::{Part, Scene};
 use tests::synth::{cache, tabletop};
 
 const CELL_M: f32 = 0.0025;
@@ -82,30 +84,9 @@ fn write_truth(
     threads: usize,
 ) -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(folder)?;
-    let mut trajectory = String::from("# timestamp tx ty tz qx qy qz qw (colour camera to world)\n");
-    for frame in taken {
-        let (t, q) = (frame.world_from_camera.translation, frame.world_from_camera.rotation);
-        trajectory += &format!(
-            "{:.9} {:.7} {:.7} {:.7} {:.8} {:.8} {:.8} {:.8}\n",
-            frame.color_timestamp_ns as f64 * 1e-9,
-            t.x,
-            t.y,
-            t.z,
-            q.x,
-            q.y,
-            q.z,
-            q.w
-        );
-    }
-    std::fs::write(folder.join("trajectory.txt"), trajectory)?;
-
-    let exposures = json!({
-        "timestamp": taken.iter().map(|f| f.color_timestamp_ns as f64 * 1e-9).collect::<Vec<_>>(),
-        "gain": taken.iter().map(|f| rounded(f.gain.gain)).collect::<Vec<_>>(),
-        "white_balance": taken.iter().map(|f| f.gain.white_balance.to_array().map(rounded)).collect::<Vec<_>>(),
-    });
-    write_json(&folder.join("exposures.json"), &exposures)?;
-
+    let trajectory: Vec<_> = taken.iter().map(|f| (f.color_timestamp_ns, f.world_from_camera)).collect();
+    std::fs::write(folder.join("trajectory.txt"), format_trajectory(&trajectory))?;
+    write_json(&folder.join("exposures.json"), &exposures(taken))?;
     let coefficients = scene.environment.spherical_harmonics(8);
     write_json(&folder.join("lighting_sh.json"), &json!({ "coefficients": coefficients }))?;
 
@@ -119,48 +100,44 @@ fn write_truth(
         SEED + 1,
         threads,
     );
-    // What no light reaches lies within other things.
+    // What no light reaches lies within other objects.
     let light = drop_vertices(&mut coarse, light, |light| light == Vec3::ZERO);
-    let albedo = coarse.albedo();
-    let (positions, normals) = (&coarse.mesh.positions, &coarse.mesh.normals);
-    let materials: Vec<_> = coarse
-        .parts
-        .iter()
-        .enumerate()
-        .map(|(id, part)| {
-            let own = albedo.iter().zip(&coarse.part_of_vertex).filter(|(_, k)| usize::from(**k) == id);
-            let (sum, count) = own.fold((glam::Vec3::ZERO, 0u32), |(sum, n), (a, _)| (sum + a, n + 1));
-            let mean = (sum / count.max(1) as f32).to_array().map(rounded);
-            json!({ "id": id, "name": part.name, "w_s": rounded(part.material.w_s), "alpha": rounded(part.material.alpha),
-                "w_d": 1.0, "mean_albedo": mean, "vertices": count })
-        })
-        .collect();
-    write_json(&folder.join("materials.json"), &json!({ "materials": materials }))?;
+    write_json(&folder.join("materials.json"), &materials(&coarse))?;
+    write_mesh(&folder.join("mesh.ply"), &coarse, &light)
+}
 
-    let mut ply = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment units: metres; albedo and diffuse lit colour, linear RGB\n\
-         element vertex {}\n{}property uchar material\nelement face {}\nproperty list uchar ushort vertex_indices\nend_header\n",
-        positions.len(),
-        ["x", "y", "z", "nx", "ny", "nz", "albedo_r", "albedo_g", "albedo_b", "lit_r", "lit_g", "lit_b"]
-            .map(|name| format!("property float {name}\n"))
-            .concat(),
-        coarse.mesh.triangles.len(),
-    )
-    .into_bytes();
-    for k in 0..positions.len() {
-        for v in [positions[k], normals[k], albedo[k], albedo[k] * light[k]] {
-            ply.extend(v.to_array().iter().flat_map(|x| x.to_le_bytes()));
-        }
-        ply.push(u8::try_from(coarse.part_of_vertex[k])?);
-    }
-    for triangle in &coarse.mesh.triangles {
-        ply.push(3);
-        for &i in triangle {
-            ply.extend(u16::try_from(i)?.to_le_bytes());
-        }
-    }
-    std::fs::write(folder.join("mesh.ply"), ply)?;
-    Ok(())
+fn exposures(taken: &[Frame]) -> serde_json::Value {
+    json!({
+        "timestamp": taken.iter().map(|f| f.color_timestamp_ns as f64 * 1e-9).collect::<Vec<_>>(),
+        "gain": taken.iter().map(|f| rounded(f.gain.gain)).collect::<Vec<_>>(),
+        "white_balance": taken.iter().map(|f| f.gain.white_balance.to_array().map(rounded)).collect::<Vec<_>>(),
+    })
+}
+
+fn materials(scene: &Scene) -> serde_json::Value {
+    let albedo = scene.albedo();
+    let material = |(id, part): (usize, &Part)| {
+        let own = albedo.iter().zip(&scene.part_of_vertex).filter(|(_, k)| usize::from(**k) == id);
+        let (sum, count) = own.fold((Vec3::ZERO, 0u32), |(sum, n), (a, _)| (sum + a, n + 1));
+        let mean = (sum / count.max(1) as f32).to_array().map(rounded);
+        json!({ "id": id, "name": part.name, "w_s": rounded(part.material.w_s), "alpha": rounded(part.material.alpha),
+            "w_d": 1.0, "mean_albedo": mean, "vertices": count })
+    };
+    json!({ "materials": scene.parts.iter().enumerate().map(material).collect::<Vec<_>>() })
+}
+
+/// The mesh with albedo, lit colour (albedo × `light`) and material of every vertex.
+fn write_mesh(path: &Path, scene: &Scene, light: &[Vec3]) -> Result<(), Box<dyn Error>> {
+    let albedo = scene.albedo();
+    let lit: Vec<Vec3> = albedo.iter().zip(light).map(|(a, l)| *a * *l).collect();
+    let material: Vec<u8> = scene.part_of_vertex.iter().map(|k| u8::try_from(*k)).collect::<Result<_, _>>()?;
+    let columns = [
+        (&["albedo_r", "albedo_g", "albedo_b"][..], Column::Floats(&albedo)),
+        (&["lit_r", "lit_g", "lit_b"], Column::Floats(&lit)),
+        (&["material"], Column::Byte(&material)),
+    ];
+    let mut file = BufWriter::new(std::fs::File::create(path)?);
+    Ok(write_ply(&mut file, "units: metres; albedo and diffuse lit colour, linear RGB", &scene.mesh, &columns)?)
 }
 
 /// Drops vertices by their light, and the triangles that lose one; returns the light of those that stay.

@@ -4,7 +4,6 @@
 #![allow(clippy::expect_used)]
 
 pub mod metrics;
-pub mod npy;
 pub mod scans;
 pub mod synth;
 pub mod truth;

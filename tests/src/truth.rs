@@ -1,7 +1,7 @@
 //! Scenes whose light and materials are known.
 
-use crate::npy::Array;
-use glam::Vec3;
+use recordings::import::npy::Array;
+use recordings::ply::read::read_ply;
 use recordings::types::Mesh;
 use std::path::{Path, PathBuf};
 
@@ -50,13 +50,14 @@ impl Truth {
     pub fn read(shared: &Path, name: &str) -> Self {
         let folder = shared.join("truth").join(name);
         let truth = folder.join("truth");
-        let whole = |file: &str| Array::read(&truth.join(file)).data.iter().map(|x| *x as u32).collect();
+        let read = |file: &str| Array::read(&truth.join(file)).expect("an array");
+        let whole = |file: &str| read(file).data.iter().map(|x| *x as u32).collect();
         let materials = json(&truth.join("materials.json"));
         Self {
             name: name.into(),
-            mesh: read_ply(&folder.join("mesh.ply")),
-            albedo: Array::read(&truth.join("albedo.npy")).rgb(),
-            lit_color: Array::read(&truth.join("lit_color.npy")).rgb(),
+            mesh: read_ply(&folder.join("mesh.ply")).expect("a mesh"),
+            albedo: read("albedo.npy").rgb(),
+            lit_color: read("lit_color.npy").rgb(),
             material: whole("material_id.npy"),
             seen: whole("seen_count.npy"),
             light: rows(&json(&truth.join("lighting_sh.json"))["lighting"]),
@@ -77,7 +78,7 @@ impl Truth {
     #[must_use]
     pub fn transfer(&self) -> TruthTransfer {
         let folder = self.folder.join("truth/transfer");
-        let read = |file: &str| Array::read(&folder.join(file)).data;
+        let read = |file: &str| Array::read(&folder.join(file)).expect("an array").data;
         TruthTransfer {
             vertices: read("vertex_index.npy").iter().map(|x| *x as usize).collect(),
             diffuse: read("T_cos.npy"),
@@ -100,35 +101,4 @@ pub fn json(path: &Path) -> serde_json::Value {
 fn rows(value: &serde_json::Value) -> Vec<[f64; 3]> {
     let rows = value.as_array().expect("rows");
     rows.iter().map(|r| [0, 1, 2].map(|c| r[c].as_f64().expect("a number"))).collect()
-}
-
-/// Reads the meshes of the truth scenes: binary little endian, x y z nx ny nz, triangles.
-///
-/// # Panics
-/// The file is missing or of another kind.
-#[must_use]
-pub fn read_ply(path: &Path) -> Mesh {
-    let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    let end = b"end_header\n";
-    let body = bytes.windows(end.len()).position(|w| w == end).expect("a header") + end.len();
-    let header = std::str::from_utf8(&bytes[..body]).expect("a text header");
-    let count = |element: &str| -> usize {
-        let line = header.lines().find_map(|l| l.strip_prefix(&format!("element {element} "))).expect("element");
-        line.trim().parse().expect("a count")
-    };
-    let (vertices, faces) = (count("vertex"), count("face"));
-    let number = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-    let vector = |at: usize| Vec3::new(number(at), number(at + 4), number(at + 8));
-    let mut mesh = Mesh::default();
-    for i in 0..vertices {
-        mesh.positions.push(vector(body + 24 * i));
-        mesh.normals.push(vector(body + 24 * i + 12));
-    }
-    let index = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-    for i in 0..faces {
-        let at = body + 24 * vertices + 13 * i;
-        assert_eq!(bytes[at], 3, "triangles only");
-        mesh.triangles.push([index(at + 1), index(at + 5), index(at + 9)]);
-    }
-    mesh
 }

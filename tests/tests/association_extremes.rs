@@ -1,6 +1,5 @@
 //! Association, segmentation and regularisation where there is nothing to go by: the output is valid all the same.
 
-use estimator::Progress;
 use estimator::association::{Association, associate};
 use estimator::mesh::regularise;
 use estimator::rays::RayScene;
@@ -11,11 +10,6 @@ use recordings::scan::ScanSource;
 use recordings::types::{
     CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose, Response,
 };
-
-struct Silent;
-impl Progress for Silent {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
 
 /// A square of `n` × `n` vertices in z = 0, edge length `size`.
 fn square(n: u32, size: f32) -> Mesh {
@@ -54,7 +48,7 @@ fn keyframe(height: f64, shift: f64, pixel: impl Fn(u32, u32) -> [u8; 3]) -> Key
 fn run(mesh: &Mesh, keyframes: &[Keyframe]) -> (Association, Vec<u32>) {
     let config = EstimatorConfig::default();
     let scene = RayScene::new(mesh);
-    let found = associate(mesh, &scene, keyframes, &Response::Srgb, &config, &Silent);
+    let found = associate(mesh, &scene, keyframes, &Response::Srgb, &config, &());
     let segment = segmentation::segment(mesh, &scene, &found.lit_color, &found.lit_weight, &config);
     let n = mesh.positions.len();
     assert_eq!((found.lit_color.len(), found.lit_weight.len(), found.views.len()), (n, n, keyframes.len()));
@@ -106,7 +100,7 @@ fn exposures_far_apart_are_found() {
     let dark = keyframe(1.0, 0.0, |x, y| [shade(x, y); 3]);
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&mesh, &scene, &[bright, dark], &Response::Linear, &config, &Silent);
+    let found = associate(&mesh, &scene, &[bright, dark], &Response::Linear, &config, &());
     let ratio = found.views[0].gain[0] / found.views[1].gain[0];
     assert!((ratio / 4.0 - 1.0).abs() < 0.01, "{ratio}");
 }
@@ -125,7 +119,7 @@ fn exposures_ten_thousand_to_one() {
     let keyframes: Vec<Keyframe> = (0..15).map(|j| keyframe(1.0, 0.0, move |x, _| value(j, x))).collect();
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&mesh, &scene, &keyframes, &Response::Linear, &config, &Silent);
+    let found = associate(&mesh, &scene, &keyframes, &Response::Linear, &config, &());
     let ratio = found.views[1].gain[1] / found.views[14].gain[1];
     let expected = libm::pow(FACTOR, 13.0);
     // Eight bits round a value of 6 by several per cent: each link of the chain may be off by four.

@@ -4,7 +4,6 @@
 #![allow(clippy::expect_used)]
 
 use estimator::Options;
-use estimator::Progress;
 use estimator::association::{Association, associate};
 use estimator::estimate;
 use estimator::mesh::regularise;
@@ -20,11 +19,6 @@ use std::time::Duration;
 use tests::metrics::{adjusted_rand_index, median};
 use tests::truth::{Truth, json};
 
-struct Silent;
-impl Progress for Silent {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
-
 struct Outcome {
     truth: Truth,
     scan: Scan,
@@ -39,7 +33,7 @@ fn run(shared: &Path, name: &str) -> Outcome {
     let mesh = regularise::regularise(&scan.mesh, &config, scan.source);
     assert_eq!(mesh.positions, truth.mesh.positions, "an imported mesh keeps its vertices");
     let scene = RayScene::new(&mesh);
-    let association = associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &Silent);
+    let association = associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &());
     let segment = segmentation::segment(&mesh, &scene, &association.lit_color, &association.lit_weight, &config);
     Outcome { truth, scan, association, segment }
 }
@@ -139,7 +133,7 @@ fn associated_colours_are_sharper_than_fused_ones() {
     let config = EstimatorConfig { refine_poses: Switch::Off, exposure: ExposureChoice::None, ..Default::default() };
     let scene = RayScene::new(&outcome.truth.mesh);
     let (keyframes, response) = (&outcome.scan.keyframes, &outcome.scan.sensor.response);
-    let given = associate(&outcome.truth.mesh, &scene, keyframes, response, &config, &Silent);
+    let given = associate(&outcome.truth.mesh, &scene, keyframes, response, &config, &());
     let mut fused = vec![(Vec3::ZERO, 0.0); outcome.truth.mesh.positions.len()];
     for o in &given.observations {
         let (sum, weight) = &mut fused[o.vertex as usize];
@@ -161,7 +155,7 @@ fn a_witness_is_predicted_better_with_exposure_and_pose() {
     let predicted = |refine_poses, exposure| {
         let config = EstimatorConfig { refine_poses, exposure, rays: 32, bands: 3, ..Default::default() };
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
-        let result = estimate(&scan, &config, &options, &Silent).expect("a result");
+        let result = estimate(&scan, &config, &options, &()).expect("a result");
         assert!(result.decisions.iter().any(|d| d.name == "witnesses"), "what limits them is said");
         (result.witnesses[0].lit_psnr_db, result.witnesses[0].model_psnr_db)
     };

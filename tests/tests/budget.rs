@@ -3,7 +3,6 @@
 #![allow(clippy::expect_used, reason = "these are tests")]
 
 use estimator::Options;
-use estimator::Progress;
 use estimator::budget::{Machine, Plan};
 use estimator::estimate_on;
 use estimator::stages;
@@ -14,11 +13,6 @@ use recordings::scan::Scan;
 use std::sync::Mutex;
 use std::time::Duration;
 use tests::scans::{globe, joined, scan, shaded, sheet};
-
-struct Quiet;
-impl Progress for Quiet {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
 
 /// As fast as it is said to be, and standing still when it is said to.
 struct Simulated {
@@ -54,7 +48,7 @@ impl Machine for Simulated {
 
 fn run(scan: &Scan, machine: &Simulated, budget: f64) -> Estimate {
     let options = Options { budget: Duration::from_secs_f64(budget), rounds: None };
-    let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
+    let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     assert!(e.albedo.iter().all(|a| a.is_finite()), "a valid result");
     assert!(e.confidence.iter().any(|c| *c > 0.1), "that says something");
     e
@@ -178,7 +172,7 @@ fn rounds_replace_the_clock() {
     let options = Options { budget: Duration::from_millis(1), rounds: Some(1) };
     let run = |speed| {
         let machine = Simulated::new(speed, &[(0.0, 10.0)]);
-        let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
+        let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &()).expect("a result");
         assert_eq!(machine.now(), 0.0, "the clock is neither read nor advanced");
         e
     };

@@ -60,19 +60,13 @@ fn the_tabletop_recording_is_whole_and_its_truth_fits() {
     assert!(least > 0.4, "a depth frame is only {least} full");
 
     let truth = data().join("tabletop_truth");
-    let text = std::fs::read_to_string(truth.join("trajectory.txt")).unwrap();
-    let lines: Vec<Vec<f64>> = text
-        .lines()
-        .filter(|line| !line.starts_with('#'))
-        .map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect())
-        .collect();
-    assert_eq!(lines.len(), stamps.len());
+    let trajectory = read_trajectory(&truth.join("trajectory.txt")).unwrap();
+    assert_eq!(trajectory.len(), stamps.len());
     let arc = tabletop::arc();
-    for (line, stamp) in lines.iter().zip(&stamps) {
-        assert!((line[0] - *stamp as f64 * 1e-9).abs() < 1e-8);
+    for ((time, truth), stamp) in trajectory.iter().zip(&stamps) {
+        assert_eq!(time, stamp);
         let pose: Pose = arc.pose((stamp - stamps[0]) as f64 * 1e-9);
-        let truth = glam::DVec3::new(line[1], line[2], line[3]);
-        assert!(pose.translation.distance(truth) < 1e-6, "the path has changed: make the data again");
+        assert!(pose.translation.distance(truth.translation) < 1e-6, "the path has changed: make the data again");
     }
 
     let exposures: serde_json::Value =

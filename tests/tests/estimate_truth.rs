@@ -5,17 +5,11 @@
 #![allow(clippy::expect_used)]
 
 use estimator::Options;
-use estimator::Progress;
 use firmware_config::EstimatorConfig;
 use recordings::import::photos::import_photos;
 use std::time::Duration;
 use tests::metrics;
 use tests::truth::Truth;
-
-struct Silent;
-impl Progress for Silent {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
 
 /// Vertices a segment has at least to count in the area under the curve.
 const LEAST_SEGMENT: usize = 20;
@@ -25,7 +19,7 @@ fn check(name: &str) {
     let truth = Truth::read(&shared, name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
     let options = Options { budget: Duration::from_secs(600), rounds: Some(2) };
-    let found = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &Silent).expect("an answer");
+    let found = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &()).expect("an answer");
 
     let seen: Vec<usize> = (0..truth.seen.len()).filter(|&i| truth.seen[i] >= 2).collect();
     let albedo: Vec<[f64; 3]> = found.albedo.iter().map(|a| a.to_array().map(f64::from)).collect();

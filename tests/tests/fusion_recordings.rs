@@ -2,12 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "these are tests")]
 
+use estimator::sweep::alignment::rigid_alignment;
 use firmware_config::FusionConfig;
 use fusion::Fusion;
 use fusion::FusionOutput;
 use fusion::Tracking;
 use glam::{DVec3, Vec3};
-use nalgebra::{Matrix3, Vector3};
+use recordings::import::trajectory::read_trajectory;
 use recordings::import::tum::TumReader;
 use recordings::recording::Event;
 use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor, TimestampNs};
@@ -42,10 +43,8 @@ fn decoded((depth, color): &Pair) -> RgbdFrame {
 
 /// True camera centres by time in seconds.
 fn truth(dir: &Path) -> Vec<(f64, DVec3)> {
-    let text = std::fs::read_to_string(dir.join("groundtruth.txt")).unwrap();
-    let numbers = |l: &str| l.split_whitespace().map(|x| x.parse().unwrap()).collect::<Vec<f64>>();
-    let lines = text.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty()).map(numbers);
-    lines.map(|v| (v[0], DVec3::new(v[1], v[2], v[3]))).collect()
+    let path = read_trajectory(&dir.join("groundtruth.txt")).unwrap();
+    path.iter().map(|(t, pose)| (*t as f64 * 1e-9, pose.translation)).collect()
 }
 
 fn at(truth: &[(f64, DVec3)], stamp: TimestampNs) -> DVec3 {
@@ -57,16 +56,9 @@ fn at(truth: &[(f64, DVec3)], stamp: TimestampNs) -> DVec3 {
 
 /// RMS distance of two paths, in metres, after the best rigid alignment (Umeyama).
 fn ate(path: &[(DVec3, DVec3)]) -> f64 {
-    let n = path.len() as f64;
-    let (ca, cb) = path.iter().fold((DVec3::ZERO, DVec3::ZERO), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
-    let vector = |v: DVec3| Vector3::new(v.x, v.y, v.z);
-    let m = path.iter().fold(Matrix3::zeros(), |m, (a, b)| m + vector(*b - cb) * vector(*a - ca).transpose());
-    let svd = m.svd(true, true);
-    let (u, vt) = (svd.u.unwrap(), svd.v_t.unwrap());
-    let sign = (u * vt).determinant().signum();
-    let r = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * vt;
-    let error = |(a, b): &(DVec3, DVec3)| (r * vector(*a - ca) - vector(*b - cb)).norm_squared();
-    (path.iter().map(error).sum::<f64>() / n).sqrt()
+    let (rotation, translation) = rigid_alignment(path).unwrap();
+    let error = |(a, b): &(DVec3, DVec3)| (rotation * *a + translation - *b).length_squared();
+    (path.iter().map(error).sum::<f64>() / path.len() as f64).sqrt()
 }
 
 /// Fuses pairs; what comes of it, the path beside the true one, and the number of pairs.

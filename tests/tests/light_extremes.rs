@@ -2,7 +2,6 @@
 
 use estimator::EstimateError;
 use estimator::Options;
-use estimator::Progress;
 use estimator::rays::RayScene;
 use estimator::transfer::{self, Transfer};
 use firmware_config::EstimatorConfig;
@@ -14,11 +13,6 @@ use std::sync::Arc;
 use std::time::Duration;
 use tests::scans::{globe, scan, shaded, sheet};
 
-struct Quiet;
-impl Progress for Quiet {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
-
 /// A flat wall of `n` × `n` quads in z = 0, facing +z.
 fn wall(n: u32, size: f32) -> Mesh {
     sheet(n, Vec3::new(-0.5, -0.5, 0.0) * size, Vec3::X * size, Vec3::Y * size)
@@ -26,7 +20,7 @@ fn wall(n: u32, size: f32) -> Mesh {
 
 fn run(scan: &Scan) -> Result<Estimate, EstimateError> {
     let options = Options { budget: Duration::from_secs(600), rounds: Some(1) };
-    let e = estimator::estimate(scan, &EstimatorConfig::default(), &options, &Quiet)?;
+    let e = estimator::estimate(scan, &EstimatorConfig::default(), &options, &())?;
     let finite = |v: &Vec3| v.is_finite() && v.min_element() >= 0.0;
     assert_eq!(e.albedo.len(), e.mesh.positions.len());
     assert!(e.albedo.iter().all(|a| finite(a) && a.max_element() <= 1.0), "albedo");

@@ -3,7 +3,6 @@
 #![allow(clippy::expect_used, reason = "these are tests")]
 
 use estimator::Options;
-use estimator::Progress;
 use estimator::estimate;
 use firmware_config::EstimatorConfig;
 use glam::{DVec3, Vec3};
@@ -12,14 +11,9 @@ use recordings::scan::Scan;
 use std::time::Duration;
 use tests::scans::{globe, joined, lit, looking, sheet};
 
-struct Quiet;
-impl Progress for Quiet {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
-
 fn run(scan: &Scan) -> Estimate {
     let options = Options { budget: Duration::from_secs(600), rounds: Some(1) };
-    let e = estimate(scan, &EstimatorConfig::default(), &options, &Quiet).expect("a result");
+    let e = estimate(scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     for d in &e.decisions {
         println!("{}: {} · {} · cost: {} · next: {}", d.name, d.choice, d.evidence, d.cost, d.next_level);
         assert!(!d.choice.is_empty() && !d.evidence.is_empty() && !d.cost.is_empty(), "{d:?}");

@@ -1,24 +1,28 @@
 //! Runs TUM RGB-D folders through fusion and prints what the project is judged by: trajectory error, share of frames
 //! tracked, CPU time per frame and stage, mesh against truth.
 //!
-//! `cargo run --release -p fusion --example ate -- [--out DIR] [--threads N] [--set key=value]… [--every N] [--backwards]
+//! `cargo run --release -p tests --example ate -- [--out DIR] [--threads N] [--set key=value]… [--every N] [--backwards]
 //! [--loop N] [--drop N] [--pieces N] [FOLDER[=TRUTH_MESH]…]`
 //!
 //! Without a folder: every recording with a `groundtruth.txt` below `LUMISCAN_SHARED`. `--every N` plays each Nth frame,
 //! `--loop N` forward and backward in turns, `--drop N` leaves out N frames of every 30, `--pieces N` cuts into pieces of N
 //! frames and plays them out of order.
 
-#[path = "../benches/usage/mod.rs"]
+#[path = "../../fusion/benches/usage/mod.rs"]
 mod usage;
 
+use estimator::sweep::alignment::rigid_alignment;
 use firmware_config::Config;
 use fusion::Fusion;
 use fusion::FusionOutput;
 use fusion::Tracking;
-use glam::{DMat3, DQuat, DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
+use recordings::import::trajectory::{format_trajectory, read_trajectory};
 use recordings::import::tum::TumReader;
+use recordings::ply::read::read_ply;
+use recordings::ply::write::write_ply;
 use recordings::recording::Event;
-use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor};
+use recordings::types::{ColorFrame, DepthFrame, Pose, RgbdFrame, Sensor, TimestampNs};
 use std::collections::HashMap;
 use std::error::Error;
 use std::fmt::Write as _;
@@ -194,8 +198,9 @@ fn run(dir: &Path, truth: Option<&Path>, config: &Config, play: &Play, out: Opti
         let name = dir.file_name().ok_or("no folder name")?;
         let to = out.join(name);
         std::fs::create_dir_all(&to)?;
-        std::fs::write(to.join("trajectory.txt"), tum_lines(&result))?;
-        std::fs::write(to.join("mesh.ply"), ply(&result.mesh))?;
+        std::fs::write(to.join("trajectory.txt"), format_trajectory(&result.trajectory))?;
+        let mut mesh = std::io::BufWriter::new(std::fs::File::create(to.join("mesh.ply"))?);
+        write_ply(&mut mesh, "fused", &result.mesh, &[])?;
     }
     Ok(())
 }
@@ -224,37 +229,21 @@ fn read_pairs(dir: &Path) -> Result<(Sensor, Vec<Pair>)> {
     Ok((sensor, pairs))
 }
 
-struct Stamped {
-    t: f64,
-    p: DVec3,
-    q: DQuat,
-}
-
-fn ground_truth(dir: &Path) -> Result<Vec<Stamped>> {
-    let text = std::fs::read_to_string(dir.join("groundtruth.txt"))?;
-    let mut poses = Vec::new();
-    for line in text.lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty()) {
-        let v: Vec<f64> = line.split_whitespace().map(str::parse).collect::<std::result::Result<_, _>>()?;
-        if let [t, x, y, z, a, b, c, w] = v[..] {
-            poses.push(Stamped { t, p: DVec3::new(x, y, z), q: DQuat::from_xyzw(a, b, c, w).normalize() });
-        }
-    }
-    Ok(poses)
-}
-
 /// Ground truth at a time: between the neighbours where they are near, `None` in gaps of over 50 ms.
-fn at_time(poses: &[Stamped], t: f64) -> Option<(DVec3, DQuat)> {
-    let i = poses.partition_point(|p| p.t < t);
+fn at_time(poses: &[(TimestampNs, Pose)], t: f64) -> Option<Pose> {
+    let stamp = |p: &(TimestampNs, Pose)| p.0 as f64 * 1e-9;
+    let i = poses.partition_point(|p| stamp(p) < t);
     let (a, b) = (poses.get(i.saturating_sub(1))?, poses.get(i).or(poses.last())?);
-    if (a.t - t).abs().min((b.t - t).abs()) > 0.05 {
+    let (ta, tb) = (stamp(a), stamp(b));
+    if (ta - t).abs().min((tb - t).abs()) > 0.05 {
         return None;
     }
-    let f = if b.t > a.t { ((t - a.t) / (b.t - a.t)).clamp(0.0, 1.0) } else { 0.0 };
-    Some((a.p.lerp(b.p, f), a.q.slerp(b.q, f)))
+    let f = if tb > ta { ((t - ta) / (tb - ta)).clamp(0.0, 1.0) } else { 0.0 };
+    Some(Pose::new(a.1.rotation.slerp(b.1.rotation, f), a.1.translation.lerp(b.1.translation, f)))
 }
 
 fn report_ate(dir: &Path, result: &FusionOutput, truth: Option<&Path>) -> Result<()> {
-    let truth_poses = ground_truth(dir)?;
+    let truth_poses = read_trajectory(&dir.join("groundtruth.txt"))?;
     let mut text = String::new();
     for shift_ms in [-40, -20, 0, 20, 40] {
         let Some((rmse, max, ..)) = ate(result, &truth_poses, f64::from(shift_ms) * 1e-3) else { continue };
@@ -265,7 +254,8 @@ fn report_ate(dir: &Path, result: &FusionOutput, truth: Option<&Path>) -> Result
     }
     println!("ATE in cm with truth read at stamp + shift:{text}");
     if let (Some(path), Some((_, _, r, t))) = (truth, ate(result, &truth_poses, 0.0)) {
-        let reference = read_ply_vertices(path)?;
+        let mesh = read_ply(path)?;
+        let reference: Vec<(Vec3, Vec3)> = mesh.positions.into_iter().zip(mesh.normals).collect();
         let ours: Vec<(Vec3, Vec3)> =
             result.mesh.positions.iter().map(|p| ((r * p.as_dvec3() + t).as_vec3(), Vec3::ZERO)).collect();
         report_mesh(dir, &ours, &reference)?;
@@ -274,40 +264,17 @@ fn report_ate(dir: &Path, result: &FusionOutput, truth: Option<&Path>) -> Result
 }
 
 /// RMSE and maximum after the best rigid alignment (Umeyama without scale), and that alignment, ours to truth.
-fn ate(result: &FusionOutput, truth: &[Stamped], shift: f64) -> Option<(f64, f64, DMat3, DVec3)> {
-    let pairs: Vec<(DVec3, DVec3)> = result
-        .trajectory
-        .iter()
-        .filter_map(|(t, pose)| at_time(truth, *t as f64 * 1e-9 + shift).map(|g| (pose.translation, g.0)))
-        .collect();
-    let n = pairs.len() as f64;
+fn ate(result: &FusionOutput, truth: &[(TimestampNs, Pose)], shift: f64) -> Option<(f64, f64, DMat3, DVec3)> {
+    let beside_truth = |(t, pose): &(TimestampNs, Pose)| {
+        at_time(truth, *t as f64 * 1e-9 + shift).map(|true_pose| (pose.translation, true_pose.translation))
+    };
+    let pairs: Vec<(DVec3, DVec3)> = result.trajectory.iter().filter_map(beside_truth).collect();
     if pairs.len() < 3 {
         return None;
     }
-    let (ca, cb) = pairs.iter().fold((DVec3::ZERO, DVec3::ZERO), |s, p| (s.0 + p.0 / n, s.1 + p.1 / n));
-    let mut m = nalgebra::Matrix3::<f64>::zeros();
-    for (a, b) in &pairs {
-        let (a, b) = (*a - ca, *b - cb);
-        m += nalgebra::Vector3::new(b.x, b.y, b.z) * nalgebra::Vector3::new(a.x, a.y, a.z).transpose();
-    }
-    let svd = m.svd(true, true);
-    let (u, vt) = (svd.u?, svd.v_t?);
-    let sign = if (u * vt).determinant() < 0.0 { -1.0 } else { 1.0 };
-    let r = u * nalgebra::Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, 1.0, sign)) * vt;
-    let r = DMat3::from_cols_array(&[
-        r[(0, 0)],
-        r[(1, 0)],
-        r[(2, 0)],
-        r[(0, 1)],
-        r[(1, 1)],
-        r[(2, 1)],
-        r[(0, 2)],
-        r[(1, 2)],
-        r[(2, 2)],
-    ]);
-    let t = cb - r * ca;
+    let (r, t) = rigid_alignment(&pairs)?;
     let errors: Vec<f64> = pairs.iter().map(|(a, b)| (r * *a + t - *b).length()).collect();
-    let rmse = (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt();
+    let rmse = (errors.iter().map(|e| e * e).sum::<f64>() / pairs.len() as f64).sqrt();
     Some((rmse, errors.iter().copied().fold(0.0, f64::max), r, t))
 }
 
@@ -337,16 +304,17 @@ fn report_mesh(dir: &Path, ours: &[(Vec3, Vec3)], truth: &[(Vec3, Vec3)]) -> Res
 /// The truth's vertices that at least five frames faced and measured: a depth within 1 cm at their pixel.
 fn seen_vertices(dir: &Path, truth: &[(Vec3, Vec3)]) -> Result<Vec<(Vec3, Vec3)>> {
     let (sensor, pairs) = read_pairs(dir)?;
-    let poses = ground_truth(dir)?;
+    let poses = read_trajectory(&dir.join("groundtruth.txt"))?;
     let k = sensor.depth.intrinsics;
     let mut count = vec![0u32; truth.len()];
     for (depth, color) in pairs.iter().step_by(3) {
-        let Some((p, q)) = at_time(&poses, color.timestamp_ns as f64 * 1e-9) else { continue };
+        let Some(pose) = at_time(&poses, color.timestamp_ns as f64 * 1e-9) else { continue };
+        let (p, camera_from_world) = (pose.translation, pose.inverse());
         for ((v, normal), n) in truth.iter().zip(&mut count) {
             if (p - v.as_dvec3()).dot(normal.as_dvec3()) <= 0.0 {
                 continue;
             }
-            let x = q.conjugate() * (v.as_dvec3() - p);
+            let x = camera_from_world.transform(v.as_dvec3());
             let (u, w) = ((k.fx * x.x / x.z + k.cx).round(), (k.fy * x.y / x.z + k.cy).round());
             if x.z > 0.1 && u >= 0.0 && w >= 0.0 && u < f64::from(k.width) && w < f64::from(k.height) {
                 let z = f64::from(depth.depth[w as usize * k.width as usize + u as usize]) * sensor.depth_unit_m;
@@ -388,66 +356,6 @@ impl Grid {
         }
         found.map(|i| (best.sqrt(), i))
     }
-}
-
-/// Positions and normals of a binary little-endian PLY whose vertices begin with float x, y, z, nx, ny, nz.
-fn read_ply_vertices(path: &Path) -> Result<Vec<(Vec3, Vec3)>> {
-    let bytes = std::fs::read(path)?;
-    let marker = b"end_header\n";
-    let end = bytes.windows(marker.len()).position(|w| w == marker).ok_or("no PLY header")? + marker.len();
-    let header = std::str::from_utf8(&bytes[..end])?;
-    let count: usize =
-        header.lines().find_map(|l| l.strip_prefix("element vertex ")).ok_or("no vertices")?.trim().parse()?;
-    let stride = 4 * header.lines().filter(|l| l.starts_with("property float")).count();
-    if stride < 24 {
-        return Err("the PLY has no normals".into());
-    }
-    let body = bytes.get(end..end + count * stride).ok_or("truncated PLY")?;
-    let float = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-    let vec3 = |b: &[u8]| Vec3::new(float(b), float(&b[4..]), float(&b[8..]));
-    Ok(body.chunks_exact(stride).map(|v| (vec3(v), vec3(&v[12..]))).collect())
-}
-
-fn ply(mesh: &Mesh) -> Vec<u8> {
-    let mut out = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nproperty float nx\nproperty float ny\nproperty float nz\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n",
-        mesh.positions.len(),
-        mesh.triangles.len()
-    )
-    .into_bytes();
-    for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
-        for x in p.to_array().into_iter().chain(n.to_array()) {
-            out.extend(x.to_le_bytes());
-        }
-    }
-    for t in &mesh.triangles {
-        out.push(3);
-        for i in t {
-            out.extend(i.to_le_bytes());
-        }
-    }
-    out
-}
-
-fn tum_lines(result: &FusionOutput) -> String {
-    let mut text = String::new();
-    for (t, pose) in &result.trajectory {
-        let (p, q) = (pose.translation, pose.rotation);
-        let _ = writeln!(
-            text,
-            "{}.{:06} {:.6} {:.6} {:.6} {:.7} {:.7} {:.7} {:.7}",
-            t / 1_000_000_000,
-            t % 1_000_000_000 / 1000,
-            p.x,
-            p.y,
-            p.z,
-            q.x,
-            q.y,
-            q.z,
-            q.w
-        );
-    }
-    text
 }
 
 /// CPU time per tracing span (the stages of `Fusion::push`), complete with one thread.
