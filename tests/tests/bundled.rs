@@ -1,6 +1,7 @@
 //! The bundled data are whole, agree with their truth, and stay small.
 #![allow(clippy::unwrap_used)]
 
+use recordings::import::trajectory::read_trajectory;
 use recordings::recording::{Event, RecordingKind, RecordingReader};
 use recordings::types::Pose;
 use std::path::{Path, PathBuf};
