@@ -1,17 +1,19 @@
 //! The `lumiscan` executable.
 
-mod child;
 mod cli;
 mod commands;
 mod daemon;
 mod device_folder;
+mod estimator_process;
 mod failure;
 mod kinect;
 mod memory;
+mod orders;
 mod pipeline;
 mod report;
 mod simulator;
 mod sources;
+mod status;
 mod stop;
 
 use crate::failure::Failure;
@@ -22,7 +24,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let cli = cli::Cli::parse();
     let reporter = Reporter::start(cli.verbose, cli.json);
-    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| commands::run(&cli, &reporter)))
+    let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| commands::dispatch::run(&cli, &reporter)))
         .unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())));
     reporter.clear();
     match outcome {

@@ -5,10 +5,10 @@
 //! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine. With
 //! a live sensor the oldest pair waiting for `decode` gives way, and is counted.
 
-use crate::daemon::status::{Board, State};
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
-use crate::sources::{Pairs, RawPair};
+use crate::sources::pairs::{Pairs, RawPair};
+use crate::status::{Board, State};
 use crate::stop::Stop;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use firmware_config::Config;
@@ -338,11 +338,12 @@ fn join<T>(thread: Result<ScopedJoinHandle<'_, Result<T, Failure>>, Failure>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::daemon::control::Orders;
     use crate::kinect::driver::Kinect;
     use crate::kinect::live::Live;
     use crate::memory::resident_bytes;
-    use crate::simulator::{SimBus, SimPlan};
+    use crate::orders::Orders;
+    use crate::simulator::bus::SimBus;
+    use crate::simulator::plan::SimPlan;
     use crate::sources::sensor;
     use crate::sources::streaming::{Conditions, Streaming};
     use firmware_config::DaemonConfig;

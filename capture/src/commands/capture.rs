@@ -1,16 +1,18 @@
 //! `lumiscan capture`: the daemon.
 
 use crate::cli;
-use crate::commands::load;
-use crate::commands::use_threads;
-use crate::daemon::Daemon;
-use crate::daemon::control::{Orders, Server};
+use crate::commands::settings::load;
+use crate::commands::settings::use_threads;
+use crate::daemon::control_socket::Server;
 use crate::daemon::notify::Notifier;
-use crate::daemon::status::{self, Board};
+use crate::daemon::scan_loop::Daemon;
+use crate::daemon::status_file;
 use crate::failure::Failure;
 use crate::memory;
+use crate::orders::Orders;
 use crate::report::Reporter;
 use crate::sources::sensor;
+use crate::status::Board;
 use crate::stop::Stop;
 use std::cell::Cell;
 use std::sync::Arc;
@@ -34,7 +36,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
     let done = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| server.serve(&board, &orders, &done));
-        scope.spawn(|| status::publish(&board, &args.device, &stop, &done));
+        scope.spawn(|| status_file::publish(&board, &args.device, &stop, &done));
         Notifier::from_environment().send("READY=1");
         let daemon = Daemon {
             args,

@@ -1,9 +1,9 @@
 //! `lumiscan check`: whether this machine can do the work, and what to do where it cannot.
 
 use crate::cli;
-use crate::commands::load;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::commands::settings::load;
 use crate::device_folder::disk;
 use crate::failure::Failure;
 use crate::kinect::transport::{Found, UsbError};

@@ -1,9 +1,9 @@
 //! `lumiscan config`: every setting, as a settings file.
 
 use crate::cli;
-use crate::commands::load;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::commands::settings::load;
 use crate::failure::Failure;
 use serde_json::{Value, json};
 

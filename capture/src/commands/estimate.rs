@@ -1,12 +1,12 @@
 //! `lumiscan estimate`: a scan to a result.
 
-use crate::child::Summary;
 use crate::cli;
-use crate::commands::check_parent;
-use crate::commands::print;
-use crate::commands::print_json;
-use crate::commands::use_threads;
-use crate::device_folder;
+use crate::commands::output::check_parent;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::commands::settings::use_threads;
+use crate::device_folder::files::write_file;
+use crate::estimator_process::Summary;
 use crate::failure::Failure;
 use crate::memory;
 use crate::report::Reporter;
@@ -48,7 +48,7 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     if let Some(path) = &args.preview {
         reporter.stage("preview", 0.0);
         let png = estimator::preview::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
-        device_folder::write_file(path, &png)?;
+        write_file(path, &png)?;
     }
     if let Some(path) = &args.viewer {
         reporter.stage("viewer", 0.0);

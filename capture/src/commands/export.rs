@@ -1,8 +1,8 @@
 //! `lumiscan export`: results and recordings in forms that other programs read.
 
 use crate::cli::{self, ExportTo};
-use crate::commands::check_parent;
-use crate::commands::print;
+use crate::commands::output::check_parent;
+use crate::commands::output::print;
 use crate::failure::Failure;
 use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;

@@ -1,7 +1,7 @@
 //! What `lumiscan render` reads its lights from and writes its frames to.
 
-use crate::commands::check_parent;
 use crate::commands::export::{StagingFolder, check_fresh};
+use crate::commands::output::check_parent;
 use crate::commands::render::has_extension;
 use crate::failure::Failure;
 use estimator::export::picture::{write_exr, write_png};

@@ -1,8 +1,8 @@
 //! `lumiscan import`: foreign data to a recording or a scan.
 
 use crate::cli::{self, ImportFrom};
-use crate::commands::check_parent;
-use crate::commands::print;
+use crate::commands::output::check_parent;
+use crate::commands::output::print;
 use crate::failure::Failure;
 use firmware_config::Config;
 use recordings::import::photos::import_photos;

@@ -1,8 +1,8 @@
 //! `lumiscan inspect`: what a file holds.
 
 use crate::cli;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
 use crate::failure::Failure;
 use recordings::codec::chunk::kind_of;
 use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};

@@ -1,8 +1,8 @@
 //! `lumiscan list`: the sensors that are plugged in.
 
 use crate::cli;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
 use crate::failure::Failure;
 use crate::kinect::transport::UsbError;
 use crate::sources::sensor;

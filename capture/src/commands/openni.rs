@@ -1,9 +1,9 @@
 //! `lumiscan record FILE --openni ADDRESS`: what a sensor of PrimeSense's kind sends, or an `.oni` file holds.
 
 use crate::cli;
-use crate::commands::load;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::commands::settings::load;
 use crate::device_folder::disk;
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};

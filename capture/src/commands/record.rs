@@ -1,10 +1,10 @@
 //! `lumiscan record`: what a Kinect sends, to a file.
 
 use crate::cli;
-use crate::commands::check_parent;
-use crate::commands::load;
-use crate::commands::print;
-use crate::commands::print_json;
+use crate::commands::output::check_parent;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::commands::settings::load;
 use crate::device_folder::disk;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
@@ -195,7 +195,7 @@ impl Session {
 
 /// Every counter of a session, for programs.
 pub fn counters(s: &LiveStats) -> serde_json::Value {
-    let stream = |p: &crate::kinect::packet::PacketStats| {
+    let stream = |p: &crate::kinect::packet_assembler::PacketStats| {
         json!({ "packets": p.packets, "missing": p.missing, "short": p.short, "garbage": p.garbage, "stale": p.stale,
                 "skipped": p.skipped, "resyncs": p.resyncs, "frames": p.frames,
                 "incomplete_frames": p.incomplete_frames, "lost_frames": p.lost_frames })

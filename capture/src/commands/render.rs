@@ -2,8 +2,9 @@
 
 use crate::cli::Settings;
 use crate::commands::frames::{Frame, Kind, Lights, Sink};
-use crate::commands::load;
-use crate::commands::use_threads;
+use crate::commands::output::print;
+use crate::commands::settings::load;
+use crate::commands::settings::use_threads;
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
 use clap::{Args, ValueEnum};
@@ -197,7 +198,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     }
     sink.finish()?;
     reporter.clear();
-    super::print(&args.output.display().to_string())
+    print(&args.output.display().to_string())
 }
 
 fn step(stage: &str, fraction: f64, detail: String) -> Step {

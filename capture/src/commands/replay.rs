@@ -1,16 +1,17 @@
 //! `lumiscan replay`: a recording to a published scan.
 
 use crate::cli;
-use crate::commands::load;
-use crate::commands::print;
-use crate::commands::use_threads;
+use crate::commands::output::{print, print_json};
+use crate::commands::settings::load;
+use crate::commands::settings::use_threads;
+use crate::device_folder::files::write_file;
 use crate::device_folder::publish::{self, Published};
+use crate::device_folder::staging::Staging;
 use crate::device_folder::trajectory;
-use crate::device_folder::{self, Staging};
 use crate::failure::Failure;
 use crate::pipeline::{self, Captured, Job};
 use crate::report::Reporter;
-use crate::sources::Pairs;
+use crate::sources::pairs::Pairs;
 use crate::stop::Stop;
 use std::path::Path;
 
@@ -26,10 +27,7 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
 
     let job = Job { name: &name, source: &args.source, scan: &scan_path, config: &config, board: None };
     let captured = pipeline::run(pairs, &job, &stop, reporter)?;
-    device_folder::write_file(
-        &staging.folder().join("trajectory.txt"),
-        trajectory::to_tum(&captured.trajectory).as_bytes(),
-    )?;
+    write_file(&staging.folder().join("trajectory.txt"), trajectory::to_tum(&captured.trajectory).as_bytes())?;
     told(&captured);
 
     let effort = (!args.no_estimate).then_some(&args.effort);
@@ -37,7 +35,7 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
     let Published { folder, manifest, failure } = publish::publish(staging, name, entry, effort, &stop, reporter)?;
     reporter.clear();
     if json {
-        super::print_json(&serde_json::json!({ "folder": folder, "manifest": manifest }))?;
+        print_json(&serde_json::json!({ "folder": folder, "manifest": manifest }))?;
     } else {
         print(&folder.display().to_string())?;
     }

@@ -1,20 +1,20 @@
 //! `lumiscan scan`: orders to the daemon.
 
 use crate::cli::{self, ScanOrder};
-use crate::commands::print;
-use crate::commands::print_json;
-use crate::daemon::control;
+use crate::commands::output::print;
+use crate::commands::output::print_json;
+use crate::daemon::control_socket;
 use crate::failure::Failure;
 
 /// Runs the command.
 pub fn run(args: &cli::Scan, as_json: bool) -> Result<(), Failure> {
-    let path = control::socket_path(args.socket.as_ref(), &args.device);
+    let path = control_socket::socket_path(args.socket.as_ref(), &args.device);
     let word = match args.order {
         ScanOrder::Start => "start",
         ScanOrder::Stop => "stop",
         ScanOrder::Status => "status",
     };
-    let answer = control::ask(&path, word)?;
+    let answer = control_socket::ask(&path, word)?;
     if answer["ok"] != true {
         return Err(Failure::Input(answer["problem"].as_str().unwrap_or("the daemon said nothing of use").into()));
     }

@@ -1,9 +1,10 @@
 //! `lumiscan trade`: speed against accuracy, measured on scenes with known truth.
 
 use crate::cli;
-use crate::commands::check_parent;
-use crate::commands::print;
-use crate::device_folder;
+use crate::commands::output::check_parent;
+use crate::commands::output::print;
+use crate::commands::settings::use_threads;
+use crate::device_folder::files::write_file;
 use crate::failure::Failure;
 use crate::report::Reporter;
 use estimator::EstimateError;
@@ -32,7 +33,7 @@ impl Machine for ProcessorTime {
 /// Runs the command.
 pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
     check_parent(&args.output)?;
-    super::use_threads(args.threads)?;
+    use_threads(args.threads)?;
     let bundled = [PathBuf::from(BUNDLED)];
     let scenes = if args.scenes.is_empty() { bundled.as_slice() } else { &args.scenes };
     let config = Config::default();
@@ -52,10 +53,10 @@ pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
         report(&name, &points)?;
         swept.push((name, points));
     }
-    device_folder::write_file(&args.output, csv.as_bytes())?;
+    write_file(&args.output, csv.as_bytes())?;
     let picture = args.output.with_extension("png");
     let png = sweep::plot::draw(&swept).map_err(Failure::Internal)?;
-    device_folder::write_file(&picture, &png)?;
+    write_file(&picture, &png)?;
     print(&args.output.display().to_string())?;
     print(&picture.display().to_string())
 }

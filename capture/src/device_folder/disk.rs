@@ -1,6 +1,7 @@
 //! How much room the disk has, and how fast it is.
 
 use crate::failure::Failure;
+use firmware_config::DaemonConfig;
 use std::fs::File;
 use std::io::Write;
 use std::path::Path;
@@ -18,6 +19,14 @@ const PROBE_CHUNK: usize = 1 << 20;
 pub fn free_bytes(folder: &Path) -> Result<u64, Failure> {
     let s = rustix::fs::statvfs(folder).map_err(|e| Failure::Internal(format!("{}: {e}", folder.display())))?;
     Ok(s.f_bavail.saturating_mul(s.f_frsize))
+}
+
+/// True if the disk has the room that a scan in progress needs.
+///
+/// # Errors
+/// The device folder is gone.
+pub fn has_room(device: &Path, config: &DaemonConfig) -> Result<bool, Failure> {
+    Ok(free_bytes(device)? >= u64::from(config.min_free_mb) * 1_000_000)
 }
 
 /// Bytes a second that a file in `folder` takes until they are on the disk.

@@ -1,9 +1,11 @@
 //! From a captured scan to a published one: light and materials, preview, manifest.
 
-use crate::child::{self, Ended};
 use crate::cli::Effort;
+use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, Manifest};
-use crate::device_folder::{self, Staging};
+use crate::device_folder::naming::utc;
+use crate::device_folder::staging::Staging;
+use crate::estimator_process::{self, Ended};
 use crate::failure::Failure;
 use crate::memory;
 use crate::pipeline::Captured;
@@ -40,11 +42,11 @@ pub fn publish(
         Some(effort) => estimate(staging.folder(), effort, stop, reporter)?,
     };
     stop.check()?;
-    let published = device_folder::utc(SystemTime::now());
+    let published = utc(SystemTime::now());
     // Reading the result back counts too.
     capture.memory_peak_bytes = memory::peak_bytes();
     let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
-    device_folder::write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
+    write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;
     Ok(Published { folder, manifest, failure })
 }
@@ -59,7 +61,7 @@ fn estimate(
     if effort.rounds.is_none() {
         reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
     }
-    let Ended { summary, mut failure } = child::estimate(folder, effort, stop, reporter)?;
+    let Ended { summary, mut failure } = estimator_process::estimate(folder, effort, stop, reporter)?;
     let mut entry = EstimatorEntry { outcome: "failed", ..EstimatorEntry::default() };
     if let Some(summary) = summary {
         entry.seconds = summary.stages;

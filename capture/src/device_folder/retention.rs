@@ -1,15 +1,14 @@
 //! The device folder over years: names that are unique without a clock, room for the next scan, and what an interrupted
 //! run left.
 
-use crate::device_folder::disk;
-use crate::device_folder::write_file;
+use crate::device_folder::disk::has_room;
+use crate::device_folder::files::write_file;
+use crate::device_folder::staging::{STAGING, UNFINISHED};
 use crate::failure::Failure;
 use firmware_config::DaemonConfig;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Prefix of the folders that the daemon fills.
-pub const UNFINISHED: &str = ".capture-";
 /// Where partial scans are kept.
 const ASIDE: &str = "aside";
 /// File with the number of the newest scan.
@@ -27,10 +26,7 @@ pub fn next_name(device: &Path) -> Result<String, Failure> {
     let used =
         [device.join("scans"), device.join(ASIDE)].iter().flat_map(|d| names(d)).filter_map(|n| number(&n)).max();
     let next = stored.max(used.unwrap_or(0)).saturating_add(1);
-    // By rename, so that a power cut leaves the old number or the new one.
-    let part = device.join(format!("{COUNTER}.part"));
-    write_file(&part, format!("{next}\n").as_bytes())?;
-    std::fs::rename(&part, &path).map_err(|e| Failure::writing(&path, e))?;
+    write_file(&path, format!("{next}\n").as_bytes())?;
     Ok(format!("{NAME}-{next:04}"))
 }
 
@@ -101,14 +97,6 @@ pub fn make_room(device: &Path, config: &DaemonConfig) -> Result<(), Failure> {
     )))
 }
 
-/// True if the disk has the room that a scan in progress needs.
-///
-/// # Errors
-/// The device folder is gone.
-pub fn has_room(device: &Path, config: &DaemonConfig) -> Result<bool, Failure> {
-    Ok(disk::free_bytes(device)? >= u64::from(config.min_free_mb) * 1_000_000)
-}
-
 /// Folders, oldest first: by the daemon's own numbers (the clock may have been wrong), those without one before.
 fn by_age(dir: &Path) -> Vec<PathBuf> {
     let mut all: Vec<_> = names(dir)
@@ -133,7 +121,7 @@ fn size(folder: &Path) -> u64 {
 /// Renamed first, so that a folder is there as a whole or not at all.
 fn remove(folder: &Path) {
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let doomed = folder.with_file_name(format!(".staging-0-{name}"));
+    let doomed = folder.with_file_name(format!("{STAGING}0-{name}"));
     if let Err(e) = std::fs::rename(folder, &doomed).and_then(|()| std::fs::remove_dir_all(&doomed)) {
         tracing::warn!("{}: {e}", folder.display());
     }

@@ -2,8 +2,8 @@
 //! that a recording replays bit for bit.
 
 use crate::kinect::clock::DeviceClock;
-use crate::kinect::depth::DepthDecoder;
-use crate::kinect::packet::{Assembled, Assembler, PacketStats};
+use crate::kinect::depth_decoder::DepthDecoder;
+use crate::kinect::packet_assembler::{Assembled, Assembler, PacketStats};
 use crate::kinect::protocol::{CONTROL_IN, CONTROL_OUT, KinectError, Said};
 use firmware_config::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, StreamFormat};
 use recordings::recording::Event;

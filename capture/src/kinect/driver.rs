@@ -1,12 +1,17 @@
 //! One Kinect: opened, its calibration read, its streams started and stopped; LED and accelerometer where it has them.
 
+use crate::kinect::packet_ring::{PacketSource, RING_BYTES, packet_ring};
 use crate::kinect::protocol::{Commands, KinectError};
-use crate::kinect::transport::{Bus, Found, PacketSource, RING_BYTES, Transport, UsbError, packet_ring};
+use crate::kinect::transport::{Bus, Found, Setup, Transport, UsbError};
 use firmware_config::KinectConfig;
 use firmware_config::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, Model, Part, StreamFormat};
 use recordings::types::UsbPacket;
 use std::time::Duration;
 
+/// Motor request: LED; the value is its state.
+const SET_LED: u8 = 0x06;
+/// Motor request: tilt and accelerometer.
+const MOTOR_STATE: u8 = 0x32;
 /// RGB sensor register of the shutter width.
 const SHUTTER_WIDTH: u16 = 0x0009;
 /// Microseconds a unit of it, Bayer at 30 Hz.
@@ -171,7 +176,8 @@ impl Kinect {
                     Led::Error => 2,
                     Led::Busy => 3,
                 };
-                self.usb.control_out(Part::Motor, 0x06, value, &[], self.patience())
+                let setup = Setup { part: Part::Motor, request: SET_LED, value, limit: self.patience() };
+                self.usb.control_out(setup, &[])
             }
             Some(_) => {
                 let value = match led {
@@ -217,7 +223,8 @@ impl Kinect {
 
     fn motor_accelerometer(&mut self) -> Result<[i32; 3], UsbError> {
         let mut state = [0u8; 10];
-        let n = self.usb.control_in(Part::Motor, 0x32, 0, &mut state, self.patience())?;
+        let setup = Setup { part: Part::Motor, request: MOTOR_STATE, value: 0, limit: self.patience() };
+        let n = self.usb.control_in(setup, &mut state)?;
         if n < 8 {
             return Err(UsbError::Other(format!("{n} bytes of motor state")));
         }

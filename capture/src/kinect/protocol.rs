@@ -1,7 +1,7 @@
 //! The camera's command protocol over the control endpoint, and what its replies hold.
 
-use crate::kinect::depth::{Calibration, Registration, ZeroPlane};
-use crate::kinect::transport::{Transport, UsbError};
+use crate::kinect::calibration::{Calibration, Registration, ZeroPlane};
+use crate::kinect::transport::{Setup, Transport, UsbError};
 use firmware_config::kinect_models::Part;
 use recordings::types::UsbPacket;
 use std::time::Duration;
@@ -123,7 +123,7 @@ impl Commands {
     ) -> Result<Vec<u8>, KinectError> {
         self.tag = self.tag.wrapping_add(1);
         let message = message(MAGIC_OUT, command, self.tag, payload);
-        usb.control_out(Part::Camera, 0, 0, &message, limit)?;
+        usb.control_out(Setup { part: Part::Camera, request: 0, value: 0, limit }, &message)?;
         let reply = self.reply(usb, command, limit)?;
         self.keep(CONTROL_OUT, message);
         let payload = reply[HEADER..].to_vec();
@@ -138,7 +138,7 @@ impl Commands {
         let mut problem = None;
         let mut stale = 0;
         loop {
-            let n = usb.control_in(Part::Camera, 0, 0, &mut buffer, limit)?;
+            let n = usb.control_in(Setup { part: Part::Camera, request: 0, value: 0, limit }, &mut buffer)?;
             if n != 0 && n != REPLY_BYTES {
                 let reply = buffer.get(..n).unwrap_or(&buffer);
                 match check(reply, command, self.tag) {

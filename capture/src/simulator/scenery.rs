@@ -1,7 +1,6 @@
 //! What a simulated Kinect sees, as the bytes of its frames. At the end of a recording its last picture stands.
 
-use crate::kinect::depth::DepthDecoder;
-use crate::kinect::depth::encode::pack;
+use crate::simulator::depth_encoder::{DepthEncoder, pack};
 use crate::simulator::plan::{Scenery, SimPlan};
 use firmware_config::kinect_models::{BAYER_VGA, StreamFormat};
 use recordings::recording::{Event, RecordingReader};
@@ -29,7 +28,7 @@ pub enum Player {
 pub struct Playback {
     path: PathBuf,
     reader: Option<RecordingReader>,
-    encoder: DepthDecoder,
+    encoder: DepthEncoder,
     /// Millimetres a unit of its depth.
     unit_mm: f64,
     color_format: &'static StreamFormat,
@@ -49,7 +48,7 @@ impl Player {
     /// The recording cannot be read, or is not of 640×480.
     pub fn open(
         plan: &SimPlan,
-        encoder: DepthDecoder,
+        encoder: DepthEncoder,
         depth: &StreamFormat,
         color: &'static StreamFormat,
     ) -> Result<Self, String> {

@@ -1,11 +1,10 @@
 //! The isochronous side of a simulated Kinect: frames cut into packets, and what happens to them on the way.
 
-use crate::kinect::transport::PacketSink;
-use crate::simulator::Shared;
-use crate::simulator::SimLog;
-use crate::simulator::lock;
-use crate::simulator::plan::{Random, SimPlan};
+use crate::kinect::packet_ring::PacketSink;
+use crate::simulator::plan::SimPlan;
+use crate::simulator::random::Random;
 use crate::simulator::scenery::Player;
+use crate::simulator::shared::{Shared, lock};
 use firmware_config::kinect_models::StreamFormat;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -175,24 +174,5 @@ impl Wire {
         packet.extend_from_slice(payload);
         self.sequence = self.sequence.wrapping_add(1);
         packet
-    }
-}
-
-/// What a stream of the simulated device really sent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Sent {
-    /// Frames.
-    pub frames: u64,
-    /// Packets, those that were lost on the way included.
-    pub packets: u64,
-    /// Packets lost on the way.
-    pub lost: u64,
-    /// Packets cut or garbled on the way.
-    pub spoilt: u64,
-}
-
-impl SimLog {
-    fn stream(&mut self, endpoint: u8) -> &mut Sent {
-        if endpoint == firmware_config::kinect_models::DEPTH_ENDPOINT { &mut self.depth } else { &mut self.color }
     }
 }

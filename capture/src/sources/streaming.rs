@@ -1,11 +1,11 @@
 //! A Kinect that streams into a scan: its frames, and when the scan is over. However it ends, what came before counts.
 
-use crate::daemon::control::Orders;
-use crate::daemon::status::Board;
-use crate::device_folder::retention::has_room;
+use crate::device_folder::disk::has_room;
 use crate::kinect::driver::Led;
 use crate::kinect::live::{Live, Polled};
+use crate::orders::Orders;
 use crate::sources::motion::Motion;
+use crate::status::Board;
 use crate::stop::Stop;
 use firmware_config::DaemonConfig;
 use recordings::recording::Event;

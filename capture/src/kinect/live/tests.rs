@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::kinect::transport::Bus;
-use crate::simulator::{SimBus, SimPlan};
+use crate::simulator::bus::SimBus;
+use crate::simulator::plan::SimPlan;
 use firmware_config::kinect_models::Model;
 use recordings::types::{ColorFrame, DepthFrame, UsbPacket};
 
@@ -275,7 +276,7 @@ fn silence_starts_the_streams_anew_and_then_gives_up() {
 fn a_serial_number_chooses() {
     let mut bus = SimBus::new(fast());
     assert!(Kinect::open(&mut bus, "another", &config()).err().unwrap().is_gone());
-    assert!(Kinect::open(&mut bus, crate::simulator::SERIAL, &config()).is_ok());
+    assert!(Kinect::open(&mut bus, crate::simulator::bus::SERIAL, &config()).is_ok());
 }
 
 #[test]
@@ -300,8 +301,8 @@ fn recorded_packets_replay_bit_for_bit() {
 #[test]
 #[ignore = "prints timings"]
 fn ms_a_frame() {
-    use crate::kinect::depth::DepthDecoder;
-    use crate::kinect::packet::Assembler;
+    use crate::kinect::depth_decoder::DepthDecoder;
+    use crate::kinect::packet_assembler::Assembler;
     use firmware_config::kinect_models::{BAYER_VGA, DEPTH_11};
     use std::time::Instant;
     const FRAMES: u32 = 100;
@@ -315,7 +316,7 @@ fn ms_a_frame() {
         let best = (0..7).map(|_| time(work)).min().unwrap_or_default();
         println!("{what}: {:.2} ms a frame", best.as_secs_f64() * 1e3 / f64::from(FRAMES));
     };
-    let (mut sink, mut source) = crate::kinect::transport::packet_ring(crate::kinect::transport::RING_BYTES);
+    let (mut sink, mut source) = crate::kinect::packet_ring::packet_ring(crate::kinect::packet_ring::RING_BYTES);
     let (mut buffer, mut ringed) = (vec![0; 4096], 0);
     least("ring, both streams", &mut || {
         for p in &s.packets {
@@ -333,7 +334,7 @@ fn ms_a_frame() {
             }
         });
         if format.endpoint == DEPTH_11.endpoint {
-            let mut decoder = DepthDecoder::new(&crate::simulator::calibration(), format);
+            let mut decoder = DepthDecoder::new(&crate::simulator::calibration::calibration(), format);
             least("depth: unpacking, millimetres, registration", &mut || {
                 assembled.iter().for_each(|bytes| drop(decoder.decode(bytes, &[], 0)));
             });

@@ -1,19 +1,10 @@
-//! What the box is doing: shared counters, `status.json`, and what the service manager is told.
+//! The state of the box: counters shared by the daemon, the capture and the status file.
 
-use crate::daemon::notify::Notifier;
 use crate::kinect::live::LiveStats;
-use crate::memory;
-use crate::stop::Stop;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
-
-/// Between two versions of `status.json` when nothing but figures changed.
-const INTERVAL: Duration = Duration::from_secs(1);
-/// Work that shows no sign of life for so long is not reported as alive any more.
-const STUCK: Duration = Duration::from_secs(45);
+use std::time::Instant;
 
 /// What the box is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
@@ -193,56 +184,4 @@ impl Board {
     fn lock(&self) -> MutexGuard<'_, Status> {
         self.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-/// Writes `status.json` and keeps the service manager informed until `done` is set; the body of a thread.
-pub fn publish(board: &Board, device: &Path, life: &Stop, done: &std::sync::atomic::AtomicBool) {
-    let notifier = Notifier::from_environment();
-    let path = device.join("status.json");
-    let (mut written, mut last): (Option<Instant>, Option<State>) = (None, None);
-    while !done.load(std::sync::atomic::Ordering::Relaxed) {
-        let mut status = board.get();
-        if last != Some(status.state) || written.is_none_or(|t| t.elapsed() >= INTERVAL) {
-            if last != Some(status.state) {
-                notifier.send(&format!("STATUS={}", line(&status)));
-            }
-            (written, last) = (Some(Instant::now()), Some(status.state));
-            status.format = 1;
-            status.memory_bytes = memory::resident_bytes();
-            status.memory_peak_bytes = memory::peak_bytes();
-            status.disk_free_bytes = crate::device_folder::disk::free_bytes(device).ok();
-            // A disk that is full today may have room tomorrow.
-            if let Err(e) = replace(&path, &status) {
-                tracing::debug!("{}: {e}", path.display());
-            }
-            if life.last_sign() < STUCK {
-                notifier.send("WATCHDOG=1");
-            }
-        }
-        std::thread::sleep(Duration::from_millis(100));
-    }
-}
-
-/// One line for people.
-#[must_use]
-pub fn line(s: &Status) -> String {
-    let mut text = format!("{:?}", s.state).to_lowercase();
-    if let Some(scan) = &s.scan {
-        text += &format!(
-            " {} · {:.0} s · {:.1} fps · {} dropped",
-            scan.name, scan.seconds, scan.fps, s.drops.dropped_pairs
-        );
-    }
-    if let Some(sensor) = &s.sensor {
-        text += &format!(" · {sensor}");
-    }
-    text
-}
-
-/// Readers see the old file or the new one, never a part.
-fn replace(path: &PathBuf, status: &Status) -> std::io::Result<()> {
-    let text = serde_json::to_vec_pretty(status)?;
-    let part = path.with_extension("json.part");
-    std::fs::write(&part, text)?;
-    std::fs::rename(&part, path)
 }

@@ -1,13 +1,13 @@
 //! `lumiscan scan start|stop|status` over a local socket: one word in, one line of JSON out.
 
-use crate::daemon::status::{Board, State};
 use crate::failure::Failure;
+use crate::orders::Orders;
+use crate::status::{Board, State};
 use serde_json::{Value, json};
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -15,46 +15,6 @@ use std::time::Duration;
 const LIMIT: Duration = Duration::from_secs(2);
 /// Bytes of the longest request.
 const REQUEST_BYTES: usize = 1024;
-
-/// What the user wants: set by the socket and by signals, taken by the daemon.
-#[derive(Debug, Clone, Default)]
-pub struct Orders {
-    start: Arc<AtomicBool>,
-    stop: Arc<AtomicBool>,
-}
-
-impl Orders {
-    /// Also by SIGUSR1 (start) and SIGUSR2 (stop).
-    ///
-    /// # Errors
-    /// The system refuses the handlers.
-    pub fn by_signals(&self) -> Result<(), Failure> {
-        for (signal, order) in [(signal_hook::consts::SIGUSR1, &self.start), (signal_hook::consts::SIGUSR2, &self.stop)]
-        {
-            signal_hook::flag::register(signal, Arc::clone(order))
-                .map_err(|e| Failure::Internal(format!("signal handler: {e}")))?;
-        }
-        Ok(())
-    }
-
-    /// True once for each order to start.
-    #[must_use]
-    pub fn take_start(&self) -> bool {
-        self.start.swap(false, Ordering::AcqRel)
-    }
-
-    /// True once for each order to stop.
-    #[must_use]
-    pub fn take_stop(&self) -> bool {
-        self.stop.swap(false, Ordering::AcqRel)
-    }
-
-    /// Forgets what was ordered before.
-    pub fn clear(&self) {
-        self.start.store(false, Ordering::Release);
-        self.stop.store(false, Ordering::Release);
-    }
-}
 
 /// The daemon's end; removed from the file system when dropped.
 pub struct Server {
@@ -132,13 +92,13 @@ fn reply(request: &str, board: &Board, orders: &Orders) -> Value {
     match (request, status.state) {
         ("status", _) => json!({ "ok": true, "status": status }),
         ("start", State::Ready) => {
-            orders.start.store(true, Ordering::Release);
+            orders.start();
             json!({ "ok": true })
         }
         ("start", State::Waiting) => refused("no Kinect is plugged in; plug one in".into()),
         ("start", _) => refused(format!("the box is {state}; wait for it to be ready")),
         ("stop", State::Scanning) => {
-            orders.stop.store(true, Ordering::Release);
+            orders.stop();
             json!({ "ok": true })
         }
         ("stop", _) => refused(format!("there is no scan to stop: the box is {state}")),

@@ -2,8 +2,9 @@
 
 use crate::kinect::decoder::{Decoder, DecoderStats};
 use crate::kinect::driver::{Kinect, Led};
+use crate::kinect::packet_ring::{Arrived, PacketSource, RingStats};
 use crate::kinect::protocol::KinectError;
-use crate::kinect::transport::{Arrived, PacketSource, RingStats, UsbError};
+use crate::kinect::transport::UsbError;
 use firmware_config::KinectConfig;
 use recordings::recording::Event;
 use recordings::types::Accelerometer;

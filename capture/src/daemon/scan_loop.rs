@@ -1,0 +1,281 @@
+//! The daemon's main loop: wait for a Kinect, scan, publish, and again.
+
+use crate::cli::{Capture, Effort};
+use crate::device_folder::files::write_file;
+use crate::device_folder::manifest::CaptureEntry;
+use crate::device_folder::publish::{self, Published};
+use crate::device_folder::retention;
+use crate::device_folder::staging::Staging;
+use crate::device_folder::trajectory;
+use crate::failure::Failure;
+use crate::kinect::driver::{Kinect, Led};
+use crate::kinect::live::{Live, Polled};
+use crate::kinect::protocol::KinectError;
+use crate::kinect::transport::{Bus, UsbError};
+use crate::memory;
+use crate::orders::Orders;
+use crate::pipeline::{self, Job};
+use crate::report::Reporter;
+use crate::sources::motion::Motion;
+use crate::sources::pairs::Pairs;
+use crate::sources::sensor;
+use crate::sources::streaming::{Conditions, Streaming};
+use crate::status::{Board, State};
+use crate::stop::Stop;
+use firmware_config::Config;
+use recordings::recording::Event;
+use recordings::scan::Scan;
+use std::cell::Cell;
+use std::path::Path;
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Between two looks for a Kinect that is not there, or still there.
+const LOOK: Duration = Duration::from_secs(1);
+/// Between two looks at orders.
+const REST: Duration = Duration::from_millis(50);
+
+/// Everything the daemon works with.
+pub struct Daemon<'a> {
+    /// The command line.
+    pub args: &'a Capture,
+    /// Settings.
+    pub config: &'a Config,
+    /// What is shown.
+    pub board: &'a Arc<Board>,
+    /// What the user wants.
+    pub orders: &'a Orders,
+    /// What the service manager wants.
+    pub stop: &'a Stop,
+    /// Log.
+    pub reporter: &'a Reporter,
+    /// The last scan ended with a problem: the LED says so until the next one begins.
+    pub trouble: Cell<bool>,
+}
+
+impl Daemon<'_> {
+    /// Runs until a signal comes, or the number of scans is reached.
+    ///
+    /// # Errors
+    /// The device folder cannot be used. Everything else is survived: it is shown, and the next scan is another one.
+    pub fn run(&self, mut bus: Box<dyn Bus>) -> Result<(), Failure> {
+        self.finish_interrupted()?;
+        while self.stop.check().is_ok() && !self.is_enough() {
+            let Some(kinect) = self.wait_for_kinect(bus.as_mut()) else { break };
+            let waited =
+                if self.args.auto { self.wait_for_motion(kinect) } else { self.wait_for_order(kinect, bus.as_mut()) };
+            let Some(live) = waited else { continue };
+            self.trouble.set(false);
+            if let Err(e) = self.scan(live)
+                && self.stop.check().is_ok()
+            {
+                self.trouble(&e.to_string());
+                // Whatever it was, it shall not be tried a thousand times a second.
+                self.rest(LOOK);
+            }
+        }
+        Ok(())
+    }
+
+    fn is_enough(&self) -> bool {
+        self.args.scans.is_some_and(|n| self.board.get().finished_scans >= n)
+    }
+
+    /// Opens the Kinect as soon as there is one that answers; `None` if the daemon is to end.
+    fn wait_for_kinect(&self, bus: &mut dyn Bus) -> Option<Kinect> {
+        self.board.enter(State::Waiting);
+        self.board.set(|s| s.sensor = None);
+        let (mut told, mut times) = (String::new(), 0);
+        while self.stop.check().is_ok() {
+            match Kinect::open(bus, &self.config.kinect.serial, &self.config.kinect) {
+                Ok(mut kinect) => {
+                    let found = kinect.found();
+                    let name = format!("{} {}", found.model.name(), found.serial);
+                    tracing::info!("{name} is ready");
+                    self.board.set(|s| s.sensor = Some(name));
+                    kinect.set_led(if self.trouble.get() { Led::Error } else { Led::Ready });
+                    self.orders.clear();
+                    self.board.enter(State::Ready);
+                    return Some(kinect);
+                }
+                Err(e) => {
+                    let text = e.to_string();
+                    times = if told == text { times + 1 } else { 1 };
+                    // While it is plugged in, its parts show one after the other.
+                    let believed_at = if e == KinectError::Usb(UsbError::NoPower) { 2 } else { 1 };
+                    if e.is_gone() {
+                        tracing::debug!("{text}");
+                    } else if times == believed_at {
+                        self.board.error(&text);
+                    }
+                    told = text;
+                }
+            }
+            self.rest(LOOK);
+        }
+        None
+    }
+
+    /// Waits for the order to start; `None` if the Kinect went away or the daemon is to end.
+    fn wait_for_order(&self, kinect: Kinect, bus: &mut dyn Bus) -> Option<Live> {
+        let mut looked = Instant::now();
+        while self.stop.check().is_ok() {
+            if self.orders.take_start() {
+                return self.started(Live::start(kinect, &self.config.kinect));
+            }
+            if looked.elapsed() >= LOOK {
+                looked = Instant::now();
+                if !bus.is_here(kinect.found()) {
+                    tracing::info!("the Kinect was unplugged");
+                    return None;
+                }
+            }
+            std::thread::sleep(REST);
+        }
+        None
+    }
+
+    /// Streams until the sensor has been still and then moves.
+    fn wait_for_motion(&self, kinect: Kinect) -> Option<Live> {
+        let mut live = self.started(Live::start(kinect, &self.config.kinect))?;
+        let mut motion = Motion::new(self.config.daemon.motion);
+        let mut armed = false;
+        while self.stop.check().is_ok() {
+            let polled = live.poll(&mut |_, _| {}, &mut |event| {
+                match &event {
+                    Event::Color(c) => motion.see_color(c),
+                    Event::Depth(d) => motion.see_depth(d),
+                    _ => None,
+                };
+            });
+            match polled {
+                Ok(Polled::Gone) => return None,
+                Ok(_) => {}
+                Err(e) => return self.started(Err(e)),
+            }
+            armed |= motion.still_s() >= self.config.daemon.start_still_s;
+            if self.orders.take_start() || (armed && motion.is_moving()) {
+                return Some(live);
+            }
+        }
+        None
+    }
+
+    fn started(&self, live: Result<Live, KinectError>) -> Option<Live> {
+        live.inspect_err(|e| self.board.error(&e.to_string())).ok()
+    }
+
+    /// One scan, from its first frame to the published folder.
+    fn scan(&self, live: Live) -> Result<(), Failure> {
+        let (device, daemon) = (&self.args.device, &self.config.daemon);
+        retention::make_room(device, daemon)?;
+        let name = retention::next_name(device)?;
+        let described = sensor::describe(live.kinect(), self.config);
+        let mut staging = Staging::unattended(device, &name)?;
+        self.board.begin_scan(&name);
+        let streaming = Streaming::new(
+            live,
+            described,
+            Conditions {
+                orders: self.orders.clone(),
+                stop: self.stop.clone(),
+                board: Arc::clone(self.board),
+                auto: self.args.auto,
+                config: daemon.clone(),
+                device: device.clone(),
+            },
+        );
+        let ending = streaming.ending();
+        let source = Path::new("kinect");
+        let pairs = Pairs::live(streaming, &self.config.capture);
+        let scan_path = staging.folder().join("scan.lscan");
+        let job = Job { name: &name, source, scan: &scan_path, config: self.config, board: Some(self.board) };
+        // A signal ends the capture, not the work on what was captured.
+        let captured = pipeline::run(pairs, &job, &self.stop.deaf(), self.reporter);
+        let ending = ending.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(problem) = ending.and_then(|e| e.problem()) {
+            self.trouble(&problem);
+        }
+        let captured = captured?;
+        // From here on everything can be done again from the scan file.
+        staging.keep();
+        let text = trajectory::to_tum(&captured.trajectory);
+        write_file(&staging.folder().join("trajectory.txt"), text.as_bytes())?;
+        self.publish(staging, name, publish::capture_entry(source, captured))
+    }
+
+    fn publish(&self, staging: Staging, name: String, entry: CaptureEntry) -> Result<(), Failure> {
+        self.board.enter(State::Estimating);
+        let daemon = &self.config.daemon;
+        let effort = Effort {
+            budget: daemon.budget_s,
+            rounds: None,
+            quality: None,
+            threads: self.args.threads,
+            memory: (daemon.estimator_limit_mb > 0).then_some(daemon.estimator_limit_mb),
+        };
+        let effort = (!self.args.no_estimate).then_some(&effort);
+        let Published { folder, failure, .. } =
+            publish::publish(staging, name, entry, effort, self.stop, self.reporter)?;
+        tracing::info!("published {}", folder.display());
+        if let Some(failure) = failure {
+            self.trouble(&failure.to_string());
+        }
+        self.board.set(|s| {
+            s.finished_scans += 1;
+            s.last_scan = Some(folder.display().to_string());
+        });
+        Ok(())
+    }
+
+    /// Finishes what an interrupted run left, or sets it aside.
+    fn finish_interrupted(&self) -> Result<(), Failure> {
+        let device = &self.args.device;
+        for folder in retention::unfinished(device) {
+            if self.stop.check().is_err() {
+                break;
+            }
+            // A damaged or absent scan file is no scan; the rename that made it complete came after its last byte.
+            let Ok(scan) = Scan::read(&folder.join("scan.lscan")) else {
+                retention::set_aside(device, &folder, self.config.daemon.max_aside)?;
+                continue;
+            };
+            tracing::info!("finishing {}", folder.display());
+            let entry = CaptureEntry {
+                source: "kinect".into(),
+                vertices: scan.mesh.positions.len(),
+                keyframes: scan.keyframes.len(),
+                seconds: Vec::new(),
+                memory_peak_bytes: memory::peak_bytes(),
+                stats: scan.stats.clone(),
+            };
+            let name = scan.name.clone();
+            drop(scan);
+            remove_results(&folder);
+            if let Err(e) = Staging::resume(&folder).and_then(|staging| self.publish(staging, name, entry)) {
+                self.board.error(&e.to_string());
+            }
+        }
+        Ok(())
+    }
+
+    fn trouble(&self, problem: &str) {
+        self.trouble.set(true);
+        self.board.error(problem);
+    }
+
+    fn rest(&self, time: Duration) {
+        let until = Instant::now() + time;
+        while Instant::now() < until && self.stop.check().is_ok() {
+            std::thread::sleep(REST);
+        }
+    }
+}
+
+/// What an interrupted run wrote behind the scan file is made anew.
+fn remove_results(folder: &Path) {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    for entry in entries.filter(|e| e.file_name() != "scan.lscan" && e.file_name() != "trajectory.txt") {
+        let _ = std::fs::remove_file(entry.path());
+    }
+}

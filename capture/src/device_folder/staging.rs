@@ -1,0 +1,160 @@
+//! The folder of a scan that is being made: invisible until it is complete, then renamed into place.
+
+use crate::device_folder::files::sync;
+use crate::device_folder::naming::{sanitised, utc};
+use crate::failure::Failure;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+/// Prefix of folders that are being filled.
+pub const STAGING: &str = ".staging-";
+/// Prefix of the folders that the daemon fills.
+pub const UNFINISHED: &str = ".capture-";
+
+/// A scan that is being made, in a folder that goes away again unless it is published.
+#[derive(Debug)]
+pub struct Staging {
+    scans: PathBuf,
+    folder: PathBuf,
+    id: String,
+    published: bool,
+    /// Left where it is if it is not published: it can be finished later.
+    keep: bool,
+}
+
+impl Staging {
+    /// Makes `<device>/scans/.staging-…`, and removes those that killed processes left behind.
+    ///
+    /// # Errors
+    /// The device folder cannot be written.
+    pub fn create(device: &Path, name: &str) -> Result<Self, Failure> {
+        let scans = device.join("scans");
+        std::fs::create_dir_all(&scans).map_err(|e| cannot_write(&scans, &e))?;
+        remove_abandoned(&scans);
+        let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
+        let folder = scans.join(format!("{STAGING}{}-{id}", std::process::id()));
+        std::fs::create_dir(&folder).map_err(|e| cannot_write(&folder, &e))?;
+        Ok(Self { scans, folder, id, published: false, keep: false })
+    }
+
+    /// The daemon's: `<device>/scans/.capture-…`, which only the daemon cleans up after an interrupted run.
+    ///
+    /// # Errors
+    /// The device folder cannot be written.
+    pub fn unattended(device: &Path, name: &str) -> Result<Self, Failure> {
+        let scans = device.join("scans");
+        let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
+        let folder = scans.join(format!("{UNFINISHED}{id}"));
+        std::fs::create_dir_all(&folder).map_err(|e| cannot_write(&folder, &e))?;
+        Ok(Self { scans, folder, id, published: false, keep: false })
+    }
+
+    /// One that an interrupted run left.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn resume(folder: &Path) -> Result<Self, Failure> {
+        let id = folder.file_name().and_then(|n| n.to_str()).and_then(|n| n.strip_prefix(UNFINISHED));
+        let (Some(id), Some(scans)) = (id, folder.parent()) else {
+            return Err(Failure::Internal(format!("{}: no unfinished scan", folder.display())));
+        };
+        Ok(Self { scans: scans.into(), folder: folder.into(), id: id.into(), published: false, keep: true })
+    }
+
+    /// From now on the folder outlives this process, published or not.
+    pub fn keep(&mut self) {
+        self.keep = true;
+    }
+
+    /// Where the scan's files are written.
+    #[must_use]
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Makes the folder visible as `<device>/scans/<utc>-<name>` (with a number behind it where that is taken) and
+    /// returns its path.
+    ///
+    /// # Errors
+    /// The device folder cannot be written.
+    pub fn publish(mut self) -> Result<PathBuf, Failure> {
+        sync(&self.folder)?;
+        for attempt in 1u32.. {
+            let suffix = if attempt == 1 { String::new() } else { format!("-{attempt}") };
+            let target = self.scans.join(format!("{}{suffix}", self.id));
+            // Renaming onto a folder that is not empty fails, so no other process's scan is ever replaced.
+            match std::fs::rename(&self.folder, &target) {
+                Ok(()) => {
+                    self.published = true;
+                    sync(&self.scans)?;
+                    return Ok(target);
+                }
+                Err(_) if target.exists() => {}
+                Err(e) => return Err(cannot_write(&target, &e)),
+            }
+        }
+        Err(Failure::Internal(format!("{}: no free name for {}", self.scans.display(), self.id)))
+    }
+}
+
+impl Drop for Staging {
+    fn drop(&mut self) {
+        if !self.published && !self.keep {
+            let _ = std::fs::remove_dir_all(&self.folder);
+        }
+    }
+}
+
+fn cannot_write(path: &Path, e: &std::io::Error) -> Failure {
+    Failure::Internal(format!("{}: {e}; choose a device folder that can be written with --device", path.display()))
+}
+
+/// Removes staging folders whose process (its id stands in the name) is no more.
+fn remove_abandoned(scans: &Path) {
+    let Ok(entries) = std::fs::read_dir(scans) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let pid = name.to_str().and_then(|n| n.strip_prefix(STAGING)).and_then(|n| n.split('-').next());
+        let alive = |pid: &str| Path::new("/proc").join(pid).exists();
+        if pid.is_some_and(|p| !alive(p)) {
+            tracing::info!("removing what an interrupted run left: {}", entry.path().display());
+            let _ = std::fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device_folder::files::write_file;
+
+    #[test]
+    fn two_scans_of_the_same_second_both_appear() {
+        let device = tempfile::tempdir().unwrap();
+        let mut paths = Vec::new();
+        let staged: Vec<_> = (0..3)
+            .map(|i| {
+                let mut s = Staging::create(device.path(), &format!("a{i}")).unwrap();
+                s.id = "same".into();
+                write_file(&s.folder().join("x"), b"x").unwrap();
+                s
+            })
+            .collect();
+        for s in staged {
+            paths.push(s.publish().unwrap());
+        }
+        assert!(paths[2].ends_with("scans/same-3") && paths.iter().all(|p| p.join("x").exists()), "{paths:?}");
+    }
+
+    #[test]
+    fn unpublished_and_abandoned_folders_go_away() {
+        let device = tempfile::tempdir().unwrap();
+        // No process has this id.
+        let abandoned = device.path().join("scans").join(format!("{STAGING}4294967295-x"));
+        std::fs::create_dir_all(&abandoned).unwrap();
+        let staging = Staging::create(device.path(), "a/b").unwrap();
+        assert!(!abandoned.exists() && staging.folder().exists());
+        drop(staging);
+        assert_eq!(std::fs::read_dir(device.path().join("scans")).unwrap().count(), 0);
+    }
+}
