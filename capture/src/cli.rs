@@ -1,5 +1,6 @@
 //! What can be said on the command line.
 
+use crate::orders::Request;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -344,22 +345,11 @@ pub struct Capture {
     pub settings: Settings,
 }
 
-/// What `lumiscan scan` asks of the daemon.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum ScanOrder {
-    /// Start a scan.
-    Start,
-    /// End it.
-    Stop,
-    /// Say what the box is doing.
-    Status,
-}
-
 /// `lumiscan scan`.
 #[derive(Debug, Args)]
 pub struct Scan {
     /// What to do.
-    pub order: ScanOrder,
+    pub order: Request,
     /// Device folder of the daemon.
     #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
     pub device: PathBuf,

@@ -1,5 +1,5 @@
-//! The estimator as a child process: this executable again, so that an estimator that dies or runs out of memory never
-//! takes the capture with it.
+//! The estimator as a child process: this executable again with `estimate`, so that a crash or an out-of-memory kill of the
+//! estimator never ends the capture.
 
 use crate::cli::Effort;
 use crate::failure::Failure;
@@ -11,8 +11,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
+use tracing::Level;
 
-/// What `lumiscan --json estimate` prints on stdout.
+/// The answer of `lumiscan --json estimate` on stdout.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// The result file.
@@ -29,27 +30,27 @@ pub struct Summary {
 
 /// How the estimator ended.
 #[derive(Debug)]
-pub struct Ended {
-    /// Its account, if it came to an end by itself with a result on disk.
+pub struct Outcome {
+    /// Its answer, if it wrote a result.
     pub summary: Option<Summary>,
-    /// Why it ended otherwise than well.
+    /// Why it failed, if it did.
     pub failure: Option<Failure>,
 }
 
-/// How often the child is looked at.
+/// Time between two checks of the child.
 const POLL: Duration = Duration::from_millis(20);
-/// Last lines of its stderr that are kept for the message.
+/// Last lines of its stderr that the error message quotes.
 const KEPT_LINES: usize = 4;
-/// An estimator that keeps no promise at all is ended after so many budgets, and this long on top.
-const PATIENCE_BUDGETS: f64 = 4.0;
-const PATIENCE: Duration = Duration::from_secs(60);
+/// The child is killed after this many budgets plus [`KILL_AFTER`].
+const KILL_AFTER_BUDGETS: f64 = 4.0;
+/// See [`KILL_AFTER_BUDGETS`].
+const KILL_AFTER: Duration = Duration::from_secs(60);
 
 /// Estimates `folder`'s `scan.lscan` into `result.lres`, `preview.png` and `viewer.html`, passing progress on.
 ///
 /// # Errors
-/// The child could not be started, or a signal came (the child is ended then). What becomes of the child itself is told
-/// in [`Ended`].
-pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<Ended, Failure> {
+/// The child could not be started, or a signal came (the child is killed then). [`Outcome`] reports how the child ended.
+pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<Outcome, Failure> {
     let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
     command.args(["--json", "estimate"]).arg(folder.join("scan.lscan"));
@@ -69,12 +70,12 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
         command.arg("--threads").arg(n.to_string());
     }
     if let Some(mb) = effort.memory {
-        // Where memory has run out there is none for a backtrace either: printing one fails within itself and never ends.
+        // A backtrace needs memory: printed where none is left, it fails within itself and never ends.
         command.arg("--memory").arg(mb.to_string()).env("RUST_BACKTRACE", "0");
     }
-    let patience = match effort.rounds {
-        None => Some(PATIENCE + Duration::from_secs_f64(PATIENCE_BUDGETS * effort.budget)),
-        // Rounds replace the clock.
+    let limit = match effort.rounds {
+        None => Some(KILL_AFTER + Duration::from_secs_f64(KILL_AFTER_BUDGETS * effort.budget)),
+        // A fixed number of rounds has no clock.
         Some(_) => None,
     };
     let mut child =
@@ -88,7 +89,7 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
             let mut text = String::new();
             BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
         });
-        let status = wait(&mut child, stop, patience);
+        let status = wait(&mut child, stop, limit);
         let last_lines = relay.join().unwrap_or_default();
         let answer = answer.join().unwrap_or_default();
         let status = status?;
@@ -97,12 +98,12 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
             Some(0) if summary.is_some() => None,
             _ => Some(failure(status, &last_lines, effort.memory)),
         };
-        Ok(Ended { summary, failure })
+        Ok(Outcome { summary, failure })
     })
 }
 
-/// Waits for the child's end, and ends it if a signal came or it outlasts all patience.
-fn wait(child: &mut Child, stop: &Stop, patience: Option<Duration>) -> Result<ExitStatus, Failure> {
+/// Waits for the child to end; kills it when a signal comes or `limit` has passed.
+fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<ExitStatus, Failure> {
     let began = Instant::now();
     loop {
         match child.try_wait() {
@@ -115,16 +116,16 @@ fn wait(child: &mut Child, stop: &Stop, patience: Option<Duration>) -> Result<Ex
             let _ = child.wait();
             return Err(stopped);
         }
-        if patience.is_some_and(|p| began.elapsed() > p) {
+        if limit.is_some_and(|p| began.elapsed() > p) {
             tracing::warn!("the estimator has not ended after {:.0} s and is killed", began.elapsed().as_secs_f64());
-            // It may have ended this moment; its status tells either way.
+            // It may have ended just now; its status is read in the next turn.
             let _ = child.kill();
         }
         std::thread::sleep(POLL);
     }
 }
 
-/// Shows the child's progress as our own and passes its log lines on; returns its last words.
+/// Shows the child's progress as this process's own and forwards its log lines; returns its last warnings and errors.
 fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
     #[derive(Deserialize)]
     struct LogLine {
@@ -138,17 +139,17 @@ fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
             continue;
         }
         let (level, message) = match serde_json::from_str::<LogLine>(&line) {
-            Ok(l) => (l.level, l.message),
-            Err(_) => ("WARN".into(), line),
+            Ok(l) => (l.level.parse().unwrap_or(Level::WARN), l.message),
+            Err(_) => (Level::WARN, line),
         };
-        match level.as_str() {
-            // Told by the failure that follows.
-            "ERROR" => {}
-            "WARN" => tracing::warn!("estimator: {message}"),
-            "INFO" => tracing::info!("estimator: {message}"),
+        match level {
+            // Part of the failure that is returned.
+            Level::ERROR => {}
+            Level::WARN => tracing::warn!("estimator: {message}"),
+            Level::INFO => tracing::info!("estimator: {message}"),
             _ => tracing::debug!("estimator: {message}"),
         }
-        if level == "ERROR" || level == "WARN" {
+        if level <= Level::WARN {
             last.push_back(message);
             if last.len() > KEPT_LINES {
                 last.pop_front();
@@ -158,24 +159,16 @@ fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
     last
 }
 
+/// Why the child ended without success.
 fn failure(status: ExitStatus, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
-    let words = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
-    match status.code() {
-        Some(2) => Failure::Usage(words),
-        Some(3) => Failure::Input(words),
-        Some(4) => Failure::Unusable(words),
-        Some(5) => Failure::Abandoned(words),
-        _ => {
-            let limit = limit_mb.map_or(String::new(), |mb| {
-                format!(
-                    ", and `lumiscan estimate` on it, or a higher memory limit than {mb} MB, may still bring a result"
-                )
-            });
-            Failure::Internal(format!(
-                "the estimator ended early ({status}) {words}; the scan itself is complete{limit}"
-            ))
-        }
+    let message = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
+    if let Some(failure) = status.code().and_then(|code| Failure::of_child(code, message.clone())) {
+        return failure;
     }
+    let hint = limit_mb.map_or(String::new(), |mb| {
+        format!("; run `lumiscan estimate` on it without a memory limit, or with one above {mb} MB")
+    });
+    Failure::Internal(format!("the estimator ended early ({status}) {message}; the scan itself is complete{hint}"))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! What ends a command, and with which exit code.
+//! Why a command ends, and its exit code.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -9,13 +9,13 @@ pub enum Failure {
     /// The program, the disk or the operating system failed.
     #[error("{0}")]
     Internal(String),
-    /// The command line or the configuration makes no sense.
+    /// The command line or the configuration is invalid.
     #[error("{0}")]
     Usage(String),
     /// The input cannot be read.
     #[error("{0}")]
     Input(String),
-    /// Nothing can be made of the scan.
+    /// The scan holds too little for a result.
     #[error("{0}")]
     Unusable(String),
     /// A stage had to be abandoned for the budget; a partial result was written.
@@ -36,12 +36,19 @@ impl Failure {
             Self::Input(_) => 3,
             Self::Unusable(_) => 4,
             Self::Abandoned(_) => 5,
-            // As shells do.
+            // As shells report it.
             Self::Stopped(signal) => u8::try_from(128 + signal).unwrap_or(1),
         }
     }
 
-    /// For a panic that was caught: a mistake of ours, whose place the panic's own message has told.
+    /// The failure that a child process with this exit code reports; `None` for success and for codes of no such meaning.
+    #[must_use]
+    pub fn of_child(code: i32, message: String) -> Option<Self> {
+        let all = [Self::Usage, Self::Input, Self::Unusable, Self::Abandoned];
+        all.into_iter().map(|kind| kind(message.clone())).find(|f| i32::from(f.code()) == code)
+    }
+
+    /// For a caught panic, whose location the panic message has already printed.
     #[must_use]
     pub fn panic(payload: &(dyn std::any::Any + Send)) -> Self {
         let text = payload.downcast_ref::<String>().map(String::as_str);
@@ -49,16 +56,16 @@ impl Failure {
         Self::Internal(format!("internal error: {text}; please report this with the command and its input"))
     }
 
-    /// For what could not be written.
+    /// For an output that could not be written.
     pub fn writing(path: impl AsRef<Path>, error: impl Display) -> Self {
         Self::Internal(format!(
-            "{}: {error}; check that the disk is there, writable and not full",
+            "{}: {error}; check that the disk is mounted, writable and not full",
             path.as_ref().display()
         ))
     }
 }
 
-/// Reading is what `recordings` is asked for; where it writes, the caller maps the error itself.
+/// Errors of reading. Callers that write map the error themselves.
 impl From<recordings::Error> for Failure {
     fn from(e: recordings::Error) -> Self {
         Self::Input(e.to_string())

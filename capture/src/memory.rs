@@ -1,9 +1,9 @@
-//! How much memory this process has needed, and may need.
+//! Memory of this process: measured, planned and limited.
 
 use crate::failure::Failure;
 use firmware_config::{Config, memory_plan};
 
-/// Peak resident memory of this process in bytes; `None` where the system does not say.
+/// Peak resident memory of this process in bytes; `None` where the system does not report it.
 #[must_use]
 pub fn peak_bytes() -> Option<u64> {
     field("VmHWM:")
@@ -15,25 +15,25 @@ pub fn resident_bytes() -> Option<u64> {
     field("VmRSS:")
 }
 
-/// Makes this process the first to go where memory runs out, and ends it alone when it asks for more than `mb`.
+/// Makes this process the first victim of the out-of-memory killer, and limits its address space to `mb`.
 ///
 /// # Errors
 /// The system refuses the limit.
 pub fn limit(mb: Option<u32>) -> Result<(), Failure> {
-    // Raising one's own is always allowed on Linux; elsewhere there is nothing to raise.
+    // A process may always raise its own score on Linux; other systems have none.
     let _ = std::fs::write("/proc/self/oom_score_adj", "800");
     let Some(mb) = mb else { return Ok(()) };
     let bytes = Some(u64::from(mb) * 1_000_000);
     let old = rustix::process::getrlimit(rustix::process::Resource::As);
     let new = rustix::process::Rlimit { current: bytes, maximum: old.maximum };
     rustix::process::setrlimit(rustix::process::Resource::As, new)
-        .map_err(|e| Failure::Usage(format!("--memory {mb}: {e}; a harder limit is set already")))
+        .map_err(|e| Failure::Usage(format!("--memory {mb}: {e}; the system has set a lower limit")))
 }
 
-/// Bytes that the capture process can come to hold with these settings.
+/// Upper bound of the capture process's memory with these settings, in bytes.
 ///
 /// # Errors
-/// More than they allow.
+/// The plan exceeds `daemon.memory_limit_mb`.
 pub fn planned(config: &Config) -> Result<u64, Failure> {
     let total = memory_plan(config).iter().map(|p| p.bytes).sum();
     let limit = u64::from(config.daemon.memory_limit_mb) * 1_000_000;

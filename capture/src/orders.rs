@@ -1,8 +1,32 @@
 //! Requests to start and stop a scan.
 
 use crate::failure::Failure;
+use clap::ValueEnum;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A request to the daemon, on the command line and on the control socket.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Request {
+    /// Start a scan.
+    Start,
+    /// End the scan.
+    Stop,
+    /// Print the daemon's status.
+    Status,
+}
+
+impl Request {
+    /// The word on the control socket.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Start => "start",
+            Self::Stop => "stop",
+            Self::Status => "status",
+        }
+    }
+}
 
 /// Requests of the user to start and stop scans: set by the control socket and by signals, taken by the daemon.
 #[derive(Debug, Clone, Default)]

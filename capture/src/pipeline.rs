@@ -1,9 +1,9 @@
-//! From a source to a scan file: one thread a stage, bounded queues between them.
+//! From a source to a scan file: one thread per stage, bounded queues between them.
 //!
 //!     read ──2──▶ decode ──2──▶ fuse (this thread) ──4──▶ disk
 //!
 //! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine. With
-//! a live sensor the oldest pair waiting for `decode` gives way, and is counted.
+//! a live sensor, the oldest pair that waits for `decode` is dropped and counted.
 
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
@@ -29,7 +29,7 @@ const QUEUED_FRAMES: usize = 2;
 /// Keyframes waiting for the disk.
 const QUEUED_KEYFRAMES: usize = 4;
 
-/// What a capture amounts to, beside the scan file.
+/// Outcome of a capture, beside the scan file.
 #[derive(Debug)]
 pub struct Captured {
     /// Camera-to-world poses of the tracked frames with their colour frames' time stamps.
@@ -50,34 +50,34 @@ pub struct Captured {
     pub writing: Duration,
 }
 
-/// A decoded frame, where up is in the camera's axes, and the share of the source played with it.
+/// A decoded frame, the up vector in camera axes, and the share of the source that has been played.
 type Played = (RgbdFrame, Option<DVec3>, f64);
 
-/// Forces within these are gravity: a sensor that is waved feels more or less.
+/// Specific force, in m/s², that is taken for gravity; a moving sensor measures more or less.
 const GRAVITY_M_S2: std::ops::Range<f64> = 8.5..11.1;
 
-/// What the disk thread is told.
+/// Messages to the disk thread.
 enum ToDisk {
     Frame(FrameId, ColorFrame),
     Finish(Box<ScanTail>),
 }
 
-/// What is captured, and where to.
+/// Input, output and settings of a capture.
 #[derive(Clone, Copy)]
 pub struct Job<'a> {
     /// Name of the scan.
     pub name: &'a str,
-    /// What its source is called.
+    /// Its source, for messages.
     pub source: &'a Path,
     /// The scan file to write.
     pub scan: &'a Path,
     /// Settings.
     pub config: &'a Config,
-    /// Where the figures of a live scan are shown.
+    /// Receives the figures of a live scan.
     pub board: Option<&'a Board>,
 }
 
-/// Plays `pairs` into a scan file.
+/// Fuses `pairs` into a scan file.
 ///
 /// # Errors
 /// The source is damaged, the disk full, tracking never held, or a signal came.
@@ -94,18 +94,18 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
     let (disk_out, disk_in) = bounded::<ToDisk>(QUEUED_KEYFRAMES);
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        // Live, the oldest waiting pair gives way; otherwise the reader waits.
-        let way = pairs.gives_way().then(|| GivesWay { oldest: raw_in.clone(), over: &over });
-        let reader = start(scope, "read", move || read(pairs, &raw_out, way, board));
+        // A live sensor drops the oldest waiting pair; any other source waits.
+        let drop_oldest = pairs.drops_when_slow().then(|| DropOldest { oldest: raw_in.clone(), over: &over });
+        let reader = start(scope, "read", move || read(pairs, &raw_out, drop_oldest, board));
         let path: PathBuf = source_path.into();
         let decoder = start(scope, "decode", move || decode(&raw_in, &frame_out, &path));
         let disk = start(scope, "disk", move || write(writer, &disk_in));
 
-        let fused = fuse(fusion, &frame_in, &disk_out, stop, Told { reporter, board }, bad_input);
-        // Lets the stages before this one end, should it have ended first.
+        let fused = fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board }, bad_input);
+        // Ends the stages before this one if this one ended first.
         over.store(true, Ordering::Relaxed);
         drop(frame_in);
-        // What went wrong first stands nearest to the source.
+        // The stage nearest to the source reports the first error.
         let capture_stats = join(reader)?;
         join(decoder)?;
         let finished = fused.and_then(|fused| {
@@ -131,24 +131,24 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
     })
 }
 
-/// What a reader needs that never waits.
-struct GivesWay<'a> {
-    /// The queue's other end: where it is full, its oldest pair goes.
+/// What the reader of a live sensor needs to drop the oldest pair instead of waiting.
+struct DropOldest<'a> {
+    /// The receiving end of the queue: takes its oldest pair when it is full.
     oldest: Receiver<RawPair>,
-    /// Set when nobody listens any more, which `oldest` hides from the sender.
+    /// Set when the receiver is gone, which the sender cannot see because `oldest` is a second receiver.
     over: &'a AtomicBool,
 }
 
 fn read(
     mut pairs: Pairs,
     out: &Sender<RawPair>,
-    way: Option<GivesWay<'_>>,
+    drop_oldest: Option<DropOldest<'_>>,
     board: Option<&Board>,
 ) -> Result<CaptureStats, Failure> {
     let mut dropped_pairs = 0;
     while let Some(pair) = pairs.next_pair()? {
-        let sent = match &way {
-            Some(way) => send_newest(pair, out, way, &mut dropped_pairs),
+        let sent = match &drop_oldest {
+            Some(drop_oldest) => send_newest(pair, out, drop_oldest, &mut dropped_pairs),
             None => out.send(pair).is_ok(),
         };
         if let Some(board) = board {
@@ -161,15 +161,15 @@ fn read(
     Ok(CaptureStats { dropped_pairs, ..pairs.stats() })
 }
 
-/// Sends without waiting: where the queue is full, its oldest pair is dropped and counted. False if nobody listens.
-fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, way: &GivesWay<'_>, dropped: &mut u64) -> bool {
-    while !way.over.load(Ordering::Relaxed) {
+/// Sends without waiting: drops and counts the oldest pair of a full queue. False if the receiver is gone.
+fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, drop_oldest: &DropOldest<'_>, dropped: &mut u64) -> bool {
+    while !drop_oldest.over.load(Ordering::Relaxed) {
         match out.try_send(pair) {
             Ok(()) => return true,
             Err(TrySendError::Disconnected(_)) => return false,
             Err(TrySendError::Full(back)) => {
-                // The stage behind may have taken it meanwhile.
-                *dropped += u64::from(way.oldest.try_recv().is_ok());
+                // The next stage may have taken it meanwhile.
+                *dropped += u64::from(drop_oldest.oldest.try_recv().is_ok());
                 pair = back;
             }
         }
@@ -185,7 +185,7 @@ fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<
                 "{shown}: the colour frame at {time:.6} s: {problem}; replace it, or remove it from the list"
             ))
         })?;
-        // At rest the accelerometer feels the ground push up.
+        // An accelerometer at rest measures the upward reaction to gravity.
         let up = acceleration.map(|a| DVec3::from(a.map(f64::from))).filter(|a| GRAVITY_M_S2.contains(&a.length()));
         if out.send((RgbdFrame { depth, color, rgb }, up, played)).is_err() {
             break;
@@ -205,8 +205,8 @@ fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure>
     Ok(())
 }
 
-/// Who is told of fusion's progress.
-struct Told<'a> {
+/// Receivers of fusion's progress.
+struct Observers<'a> {
     reporter: &'a Reporter,
     board: Option<&'a Board>,
 }
@@ -223,17 +223,17 @@ fn fuse(
     frames: &Receiver<Played>,
     disk: &Sender<ToDisk>,
     stop: &Stop,
-    told: Told<'_>,
+    observers: Observers<'_>,
     bad_input: impl Fn(FusionError) -> Failure,
 ) -> Result<Fused, Failure> {
-    let Told { reporter, board } = told;
+    let Observers { reporter, board } = observers;
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
     for (frame, up, played) in frames {
         stop.check()?;
         if let Some(up) = up {
-            // Counts until the first frame is tracked.
+            // Has an effect until the first frame is tracked.
             fusion.set_gravity(up);
         }
         let push = Instant::now();
@@ -247,7 +247,7 @@ fn fuse(
             tracing::warn!("tracking {} at {t:.3} s (frame {count})", if lost { "lost" } else { "recovered" });
         }
         if report.coarsened {
-            tracing::warn!("the voxel pool ran full: the volume goes on with twice the voxel size");
+            tracing::warn!("the voxel pool is full: continuing with twice the voxel size");
         }
         if let Some(board) = board {
             let block_m = 8.0 * report.voxel_size_m;
@@ -255,7 +255,7 @@ fn fuse(
         }
         if let Some(id) = report.keep {
             kept += 1;
-            // Fails only if the disk thread has ended, whose own error is told.
+            // Fails only if the disk thread has ended, which returns its own error.
             if disk.send(ToDisk::Frame(id, frame.color)).is_err() {
                 break;
             }
@@ -275,7 +275,7 @@ fn fuse(
     Ok(Fused { output, trajectory, fusion: spent, extraction: extract.elapsed() })
 }
 
-/// Joins what fusion and what the source counted.
+/// The end of the scan file, with the counters of fusion and of the source.
 fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, source: &CaptureStats) -> ScanTail {
     let stats = CaptureStats {
         depth_frames: source.depth_frames,
@@ -300,20 +300,20 @@ fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, sour
     }
 }
 
-/// A scan is worth keeping if the camera was followed beyond its first frame, and there is a surface and a picture.
+/// Checks that the camera was tracked beyond its first frame and that there is a surface and a keyframe.
 fn usable(captured: &Captured, source: &Path) -> Result<(), Failure> {
     let shown = source.display();
     let (pairs, tracked) = (captured.stats.pairs, captured.trajectory.len());
     let problem = if captured.stats.color_frames == 0 {
-        "it holds no colour, and a scan needs some; give a source with depth and colour".into()
+        "it holds no colour frames; use a source with depth and colour".into()
     } else if pairs == 0 {
         "no colour frame has a depth frame near in time; check the time stamps, or raise capture.max_pair_gap_ms".into()
     } else if tracked == 0 || (pairs > 1 && tracked < 2) {
         format!(
-            "tracking never held ({tracked} of {pairs} frames); scan again, slower, with things 0.5 to 3 m away in view"
+            "tracking never held ({tracked} of {pairs} frames); scan again, more slowly, with surfaces 0.5 to 3 m away in view"
         )
     } else if captured.triangles == 0 || captured.keyframes == 0 {
-        format!("no surface came out of {pairs} frames; scan again, from 0.5 to 3 m, for longer")
+        format!("no surface was reconstructed from {pairs} frames; scan again, from 0.5 to 3 m away, for longer")
     } else {
         return Ok(());
     };
@@ -354,7 +354,7 @@ mod tests {
     fn ten_minutes_of_capture_with_every_drop_accounted_for_and_flat_memory() {
         const FRAMES: u64 = 18_000;
         let device = tempfile::tempdir().unwrap();
-        let plan = "pattern,fast,hasty,frames=18000,loss=0.0002,burst=0.00001,truncate=0.0001,garbage=0.0001";
+        let plan = "pattern,fast,drop_when_slow,frames=18000,loss=0.0002,burst=0.00001,truncate=0.0001,garbage=0.0001";
         let mut bus = SimBus::new(SimPlan::parse(plan).unwrap());
         let mut config = Config::default();
         (config.daemon.max_scan_s, config.daemon.min_free_mb, config.kinect.accelerometer_hz) = (3600.0, 1, 1);
@@ -371,12 +371,12 @@ mod tests {
             device: device.path().into(),
         };
         let pairs = Pairs::live(Streaming::new(live, described, conditions), &config.capture);
-        assert!(pairs.gives_way());
+        assert!(pairs.drops_when_slow());
         let (out, waiting) = bounded(QUEUED_FRAMES);
         let oldest = waiting.clone();
         let reader = std::thread::spawn(move || {
             let over = AtomicBool::new(false);
-            let outcome = read(pairs, &out, Some(GivesWay { oldest, over: &over }), None);
+            let outcome = read(pairs, &out, Some(DropOldest { oldest, over: &over }), None);
             drop(out);
             outcome
         });
@@ -403,9 +403,9 @@ mod tests {
         let stats = reader.join().unwrap().unwrap();
         let (log, drops) = (bus.log(), board.get().drops);
         println!("{taken} pairs taken; {stats:?}; {drops:?}; {grown} bytes grown; {log:?}");
-        assert_eq!((log.depth.frames, log.color.frames, log.complaints.len()), (FRAMES, FRAMES, 0));
+        assert_eq!((log.depth.frames, log.color.frames, log.violations.len()), (FRAMES, FRAMES, 0));
         assert_eq!(stats.pairs, taken + stats.dropped_pairs);
-        assert!(stats.dropped_pairs > 1500, "a minute's pairs give way");
+        assert!(stats.dropped_pairs > 1500, "about a minute's pairs are dropped");
         assert_eq!(stats.depth_frames, stats.pairs + stats.unpaired_depth);
         assert_eq!(stats.color_frames, stats.pairs + stats.unpaired_color);
         // Both streams together; what is not given out is lost, and counted.

@@ -1,6 +1,6 @@
-//! What a person, or a program, is told while a command runs: everything here goes to stderr.
+//! Progress and log output of a command, on stderr.
 //!
-//! On a terminal a progress bar; elsewhere plain log lines; with `--json` one JSON object a line.
+//! A progress bar on a terminal, plain log lines elsewhere, one JSON object per line with `--json`.
 
 use crate::memory;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -10,14 +10,14 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 use tracing_subscriber::fmt::MakeWriter;
 
-/// How a stage is shown.
+/// Form of the output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Form {
     /// A progress bar.
     Bar,
-    /// Log lines, a few a stage.
+    /// Log lines, a few per stage.
     Plain,
-    /// A JSON object a line.
+    /// One JSON object per line.
     Json,
 }
 
@@ -26,15 +26,15 @@ enum Form {
 pub struct Step {
     /// Name of the stage.
     pub stage: String,
-    /// Share done, 0 to 1; absent where it is not known.
+    /// Share done, 0 to 1; absent where unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fraction: Option<f64>,
-    /// Figures worth seeing ("31.2 fps", "12 keyframes").
+    /// Figures of the stage ("31.2 fps", "12 keyframes").
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub detail: String,
 }
 
-/// Shows the progress of one command.
+/// Progress of one command.
 pub struct Reporter {
     form: Form,
     verbose: bool,
@@ -52,13 +52,13 @@ struct State {
     deadline: Option<Instant>,
 }
 
-/// Between two lines of the same stage where there is no bar.
-const QUIET: Duration = Duration::from_secs(5);
-/// The same for programs.
-const QUIET_JSON: Duration = Duration::from_millis(200);
+/// Minimum time between two log lines of the same stage.
+const PLAIN_INTERVAL: Duration = Duration::from_secs(5);
+/// The same with `--json`.
+const JSON_INTERVAL: Duration = Duration::from_millis(200);
 
 impl Reporter {
-    /// Starts log output and progress. `NO_COLOR` and `TERM=dumb` are honoured.
+    /// Starts log output and progress. Respects `NO_COLOR` and `TERM=dumb`.
     #[must_use]
     pub fn start(verbose: bool, json: bool) -> Self {
         let terminal = std::io::stderr().is_terminal() && std::env::var_os("TERM").is_none_or(|t| t != "dumb");
@@ -78,7 +78,7 @@ impl Reporter {
         let level = if verbose { tracing::Level::DEBUG } else { tracing::Level::INFO };
         let lines =
             tracing_subscriber::fmt().with_max_level(level).with_writer(BesideBar(bar.clone())).with_target(verbose);
-        // A second subscriber in one process is a test's business only.
+        // Fails only where a test has set a subscriber before.
         let _ = match form {
             Form::Json => {
                 tracing::subscriber::set_global_default(lines.json().flatten_event(true).without_time().finish())
@@ -88,13 +88,13 @@ impl Reporter {
         Self { form, verbose, bar, state: Mutex::default() }
     }
 
-    /// True if more log lines are wanted.
+    /// True with `--verbose`.
     #[must_use]
     pub fn verbose(&self) -> bool {
         self.verbose
     }
 
-    /// From now on the time left is shown.
+    /// Shows the time left until `deadline` from now on.
     pub fn set_deadline(&self, deadline: Instant) {
         self.lock().deadline = Some(deadline);
     }
@@ -105,22 +105,22 @@ impl Reporter {
         let new = state.stage != step.stage;
         let left = state.deadline.map(|d| d.saturating_duration_since(Instant::now()).as_secs());
         let left = left.map_or(String::new(), |s| format!(" · {s} s left"));
-        let due = |quiet| new || step.fraction == Some(1.0) || state.printed.is_none_or(|t| t.elapsed() >= quiet);
+        let due = |interval| new || step.fraction == Some(1.0) || state.printed.is_none_or(|t| t.elapsed() >= interval);
         match self.form {
             Form::Bar => {
                 self.bar.set_prefix(step.stage.clone());
                 self.bar.set_position((step.fraction.unwrap_or(0.0).clamp(0.0, 1.0) * 1000.0) as u64);
                 self.bar.set_message(format!("{}{left}", step.detail));
             }
-            Form::Plain if due(QUIET) => {
+            Form::Plain if due(PLAIN_INTERVAL) => {
                 let percent = step.fraction.map_or(String::new(), |f| format!(" {:.0} %", f * 100.0));
                 let detail = if step.detail.is_empty() { String::new() } else { format!(" · {}", step.detail) };
                 tracing::info!("{}{percent}{detail}{left}", step.stage);
                 state.printed = Some(Instant::now());
             }
-            Form::Json if due(QUIET_JSON) => {
+            Form::Json if due(JSON_INTERVAL) => {
                 let line = serde_json::to_string(step).unwrap_or_default();
-                // Whoever started this process is gone: nobody waits for the result any more.
+                // The parent process is gone, so nobody waits for the result.
                 if writeln!(std::io::stderr(), "{line}").is_err() {
                     std::process::exit(1);
                 }
@@ -143,7 +143,7 @@ impl Reporter {
         state.ended.clone()
     }
 
-    /// Takes the bar away.
+    /// Removes the progress bar.
     pub fn clear(&self) {
         self.bar.finish_and_clear();
     }
@@ -154,7 +154,7 @@ impl Reporter {
 }
 
 impl State {
-    /// Adds the time of the current stage to what it took before: stages may come back.
+    /// Adds the time of the current stage to its total; a stage may run several times.
     fn end_stage(&mut self) {
         let Some(seconds) = self.stage_started.take().map(|t| t.elapsed().as_secs_f64()) else { return };
         match self.ended.iter_mut().find(|(name, _)| *name == self.stage) {

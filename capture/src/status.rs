@@ -3,24 +3,37 @@
 use crate::kinect::live::LiveStats;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
+use std::fmt::{Display, Formatter};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// What the box is doing.
+/// What the box does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// No Kinect is there.
+    /// No Kinect is plugged in.
     #[default]
     Waiting,
     /// A scan can be started.
     Ready,
     /// A scan is being captured.
     Scanning,
-    /// The mesh is made, the scan written.
+    /// The mesh is extracted and the scan written.
     Finishing,
     /// Light and materials are estimated.
     Estimating,
+}
+
+impl Display for State {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Waiting => "waiting",
+            Self::Ready => "ready",
+            Self::Scanning => "scanning",
+            Self::Finishing => "finishing",
+            Self::Estimating => "estimating",
+        })
+    }
 }
 
 /// The scan in progress.
@@ -34,9 +47,9 @@ pub struct ScanFigures {
     pub fps: f64,
     /// Pairs fused.
     pub fused_pairs: u64,
-    /// Pairs of them while tracking was lost.
+    /// Of these, pairs while tracking was lost.
     pub lost_pairs: u64,
-    /// True while the camera is followed.
+    /// True while the camera is tracked.
     pub tracking: bool,
     /// Surface seen so far, by the voxel blocks in use.
     pub coverage_m2: f64,
@@ -44,26 +57,26 @@ pub struct ScanFigures {
     pub kept_frames: u64,
 }
 
-/// Drops by cause, of the scan in progress or the last one.
+/// Losses by cause, of the scan in progress or the last one.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Drops {
-    /// USB packets that did not come.
+    /// USB packets that did not arrive.
     pub missing_packets: u64,
-    /// USB packets that the host controller flagged.
+    /// USB packets that the host controller flagged as bad.
     pub flagged_packets: u64,
-    /// USB packets that found the ring full.
+    /// USB packets dropped because the ring was full.
     pub ring_packets: u64,
     /// Frames with missing packets.
     pub incomplete_frames: u64,
-    /// Frames of which nothing of use came.
+    /// Frames of which nothing usable arrived.
     pub lost_frames: u64,
     /// Colour frames without a depth frame near in time.
     pub unpaired_color: u64,
     /// Depth frames without a colour frame near in time.
     pub unpaired_depth: u64,
-    /// Pairs that gave way because fusion was busy.
+    /// Pairs dropped because fusion was busy.
     pub dropped_pairs: u64,
-    /// Times the streams were started anew.
+    /// Times the streams were restarted.
     pub restarts: u32,
 }
 
@@ -74,21 +87,21 @@ pub struct Status {
     pub format: u32,
     /// State.
     pub state: State,
-    /// The Kinect, model and serial number.
+    /// Model and serial number of the Kinect.
     pub sensor: Option<String>,
-    /// True if scans start by themselves.
+    /// True if motion starts scans.
     pub auto: bool,
     /// The scan in progress.
     pub scan: Option<ScanFigures>,
     /// Drops by cause.
     pub drops: Drops,
-    /// Exposure time by the sensor's register: a hint.
+    /// Exposure time according to the sensor's register, in microseconds; not calibrated.
     pub exposure_us: Option<f64>,
     /// Resident memory of the capture process.
     pub memory_bytes: Option<u64>,
     /// Its peak.
     pub memory_peak_bytes: Option<u64>,
-    /// What the memory plan allows it.
+    /// Its planned upper bound.
     pub memory_plan_bytes: u64,
     /// Free bytes in the device folder.
     pub disk_free_bytes: Option<u64>,
@@ -96,11 +109,11 @@ pub struct Status {
     pub finished_scans: u64,
     /// Folder of the newest one.
     pub last_scan: Option<String>,
-    /// What went wrong last.
+    /// The last error.
     pub last_error: Option<String>,
 }
 
-/// The status, shared by everything that knows a part of it.
+/// The status, shared by the threads that know parts of it.
 #[derive(Debug, Default)]
 pub struct Board {
     status: Mutex<Status>,
@@ -108,20 +121,20 @@ pub struct Board {
 }
 
 impl Board {
-    /// A copy.
+    /// A copy of the status.
     #[must_use]
     pub fn get(&self) -> Status {
         self.lock().clone()
     }
 
-    /// Changes it.
+    /// Changes the status.
     pub fn set(&self, change: impl FnOnce(&mut Status)) {
         change(&mut self.lock());
     }
 
-    /// Enters a state; leaving a scan takes its figures away.
+    /// Enters a state; `Waiting` and `Ready` clear the figures of the scan.
     pub fn enter(&self, state: State) {
-        tracing::debug!("state: {state:?}");
+        tracing::debug!("state: {state}");
         let mut s = self.lock();
         s.state = state;
         if matches!(state, State::Waiting | State::Ready) {
@@ -129,7 +142,7 @@ impl Board {
         }
     }
 
-    /// Begins the figures of a scan.
+    /// Enters `Scanning` with fresh figures.
     pub fn begin_scan(&self, name: &str) {
         *self.fused_since.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         let mut s = self.lock();
@@ -138,7 +151,7 @@ impl Board {
         s.scan = Some(ScanFigures { name: name.into(), tracking: true, ..ScanFigures::default() });
     }
 
-    /// Counters of the driver.
+    /// Takes the counters of the driver.
     pub fn driver(&self, stats: &LiveStats, exposure_us: Option<f64>) {
         let mut s = self.lock();
         let (d, c) = (stats.streams.depth, stats.streams.color);
@@ -151,7 +164,7 @@ impl Board {
         s.drops.restarts = stats.restarts;
     }
 
-    /// Counters of pairing.
+    /// Takes the counters of pairing.
     pub fn pairing(&self, stats: &CaptureStats) {
         let mut s = self.lock();
         s.drops.unpaired_color = stats.unpaired_color;
@@ -162,7 +175,7 @@ impl Board {
         }
     }
 
-    /// One more pair went through fusion.
+    /// Counts a pair that fusion has taken.
     pub fn fused(&self, tracked: bool, kept: bool, blocks: u64, block_m: f64) {
         let since = *self.fused_since.lock().unwrap_or_else(PoisonError::into_inner);
         let mut s = self.lock();
@@ -175,7 +188,7 @@ impl Board {
         scan.fps = since.map_or(0.0, |t| scan.fused_pairs as f64 / t.elapsed().as_secs_f64().max(1e-3));
     }
 
-    /// Remembers what went wrong, and says it.
+    /// Stores and logs an error.
     pub fn error(&self, problem: &str) {
         tracing::error!("{problem}");
         self.lock().last_error = Some(problem.into());

@@ -1,27 +1,27 @@
-//! SIGINT and SIGTERM as a flag that long work looks at.
+//! SIGINT and SIGTERM as a flag that long-running work checks; each check is also a heartbeat.
 
 use crate::failure::Failure;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-/// Set by the first SIGINT or SIGTERM. Whoever looks at it shows a sign of life.
+/// Set by SIGINT or SIGTERM. Every check counts as a heartbeat for the service manager's watchdog.
 #[derive(Debug, Clone)]
 pub struct Stop {
     signal: Arc<AtomicUsize>,
-    /// Milliseconds from `since` to the last sign of life.
-    sign: Arc<AtomicU64>,
+    /// Milliseconds from `since` to the last heartbeat.
+    heartbeat: Arc<AtomicU64>,
     since: Instant,
 }
 
 impl Default for Stop {
     fn default() -> Self {
-        Self { signal: Arc::default(), sign: Arc::default(), since: Instant::now() }
+        Self { signal: Arc::default(), heartbeat: Arc::default(), since: Instant::now() }
     }
 }
 
 impl Stop {
-    /// From now on the signals no longer end the process by themselves.
+    /// Installs the handlers: from now on the signals only set the flag.
     ///
     /// # Errors
     /// The system refuses the handler.
@@ -37,22 +37,22 @@ impl Stop {
     /// # Errors
     /// [`Failure::Stopped`] once a signal came.
     pub fn check(&self) -> Result<(), Failure> {
-        self.sign.store(self.since.elapsed().as_millis() as u64, Ordering::Relaxed);
+        self.heartbeat.store(self.since.elapsed().as_millis() as u64, Ordering::Relaxed);
         match self.signal.load(Ordering::Relaxed) {
             0 => Ok(()),
             signal => Err(Failure::Stopped(i32::try_from(signal).unwrap_or(0))),
         }
     }
 
-    /// For work that a signal shall not cut short: the same sign of life, and a flag that nobody sets.
+    /// For work that a signal must not interrupt: shares the heartbeat, and its flag is never set.
     #[must_use]
-    pub fn deaf(&self) -> Self {
+    pub fn without_signals(&self) -> Self {
         Self { signal: Arc::default(), ..self.clone() }
     }
 
-    /// Time since the last sign of life.
+    /// Time since the last heartbeat.
     #[must_use]
-    pub fn last_sign(&self) -> Duration {
-        self.since.elapsed().saturating_sub(Duration::from_millis(self.sign.load(Ordering::Relaxed)))
+    pub fn since_heartbeat(&self) -> Duration {
+        self.since.elapsed().saturating_sub(Duration::from_millis(self.heartbeat.load(Ordering::Relaxed)))
     }
 }

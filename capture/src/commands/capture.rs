@@ -1,4 +1,4 @@
-//! `lumiscan capture`: the daemon.
+//! `lumiscan capture`: starts the daemon with its control socket and status file.
 
 use crate::cli;
 use crate::commands::settings::load;
@@ -45,7 +45,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
             orders: &orders,
             stop: &stop,
             reporter,
-            trouble: Cell::new(false),
+            last_scan_failed: Cell::new(false),
         };
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| daemon.run(bus)))
             .unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())));

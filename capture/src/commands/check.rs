@@ -1,4 +1,4 @@
-//! `lumiscan check`: whether this machine can do the work, and what to do where it cannot.
+//! `lumiscan check`: tests whether this machine is fit for scanning, and names remedies.
 
 use crate::cli;
 use crate::commands::output::print;
@@ -18,7 +18,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Verdict on one thing.
+/// Verdict of one test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Verdict {
@@ -30,7 +30,7 @@ enum Verdict {
     Failed,
 }
 
-/// One thing that was looked at.
+/// Result of one test.
 #[derive(Debug, Serialize)]
 struct Finding {
     what: &'static str,
@@ -48,7 +48,7 @@ fn finding(what: &'static str, verdict: Verdict, detail: impl Into<String>, reme
 
 /// Memory that the kernel must grant for isochronous transfers, in MB.
 const USBFS_MB: u64 = (2 * TRANSFERS * PACKETS_PER_TRANSFER * MAX_ISO_PACKET) as u64 / 1_000_000 + 1;
-/// Bytes of a scan, result and preview at most, as a rule.
+/// Typical upper bound of a published scan in bytes.
 const SCAN_BYTES: u64 = 150_000_000;
 /// Rays of the speed test.
 const RAYS: u32 = 400_000;
@@ -103,32 +103,28 @@ pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
 fn sensor_found(listed: &Result<Vec<Found>, UsbError>) -> Finding {
     let found = match listed {
         Ok(found) => found.as_slice(),
-        Err(e) => {
-            let text = e.to_string();
-            let (detail, remedy) = text.rsplit_once("; ").unwrap_or((&text, ""));
-            return finding("kinect", Verdict::Failed, detail, remedy);
-        }
+        Err(e) => return finding("kinect", Verdict::Failed, e.problem(), e.remedy()),
     };
     let remedy = "plug in a Kinect V1 and its power supply; without its 12 V only the motor shows";
-    let Some(k) = found.first() else { return finding("kinect", Verdict::Failed, "none is plugged in", remedy) };
+    let Some(k) = found.first() else { return finding("kinect", Verdict::Failed, "no Kinect is plugged in", remedy) };
     let name = format!("{} {} on bus {}", k.model.name(), k.serial, k.bus);
     if !k.accessible {
         let remedy = "install 60-lumiscan.rules and join group lumiscan (firmware-config/appliance/INSTALL.md)";
-        return finding("kinect", Verdict::Failed, format!("{name} may not be opened by this user"), remedy);
+        return finding("kinect", Verdict::Failed, format!("this user may not open {name}"), remedy);
     }
     if found.len() > 1 {
         let remedy = "name one with kinect.serial; each needs a USB 2 controller of its own";
         return finding(
             "kinect",
             Verdict::Warning,
-            format!("{} of them; the first is used: {name}", found.len()),
+            format!("{} Kinects; the first is used: {name}", found.len()),
             remedy,
         );
     }
     finding("kinect", Verdict::Ok, name, "")
 }
 
-/// Whether anything is known of this camera, or defaults are used.
+/// Whether this camera has settings of its own.
 fn camera_settings(k: &Found, config: &Config) -> Finding {
     let (camera, own) = config.camera_of(&k.serial);
     let response = firmware_config::kinect::response_text(camera.response);
@@ -195,7 +191,7 @@ fn controller(k: &Found, sysfs: &Path) -> Finding {
             "the Kinect needs 480 Mb/s: use a USB 2 port",
         );
     }
-    finding("controller", Verdict::Ok, "the Kinect has it for itself", "")
+    finding("controller", Verdict::Ok, "no other device shares it", "")
 }
 
 fn usbfs_memory(parameter: &Path) -> Finding {
@@ -209,7 +205,7 @@ fn usbfs_memory(parameter: &Path) -> Finding {
 }
 
 fn disk_findings(device: &Path, config: &Config) -> Vec<Finding> {
-    // The device folder may be yet to be made.
+    // The device folder may not exist yet.
     let folder: PathBuf = device.ancestors().find(|a| a.is_dir()).unwrap_or(Path::new(".")).into();
     let mut findings = Vec::new();
     match disk::free_bytes(&folder) {
@@ -224,7 +220,7 @@ fn disk_findings(device: &Path, config: &Config) -> Vec<Finding> {
             };
             let scans = free.saturating_sub(needed - SCAN_BYTES) / SCAN_BYTES;
             let detail = format!("{:.1} GB free, room for about {scans} scans", free as f64 / 1e9);
-            findings.push(finding("disk", verdict, detail, "free some, or choose another device folder"));
+            findings.push(finding("disk", verdict, detail, "free space, or choose another device folder"));
         }
         Err(e) => findings.push(finding("disk", Verdict::Failed, e.to_string(), "choose another device folder")),
     }

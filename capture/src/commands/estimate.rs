@@ -33,7 +33,7 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
 
     let shown = args.scan.display();
     let scan = Scan::read(&args.scan)?;
-    // Written by the program that made the scan; a key that this version does not know is no fault of the user's.
+    // Written by the program that made the scan, perhaps of another version: an unknown key is an input error.
     let mut config = Config::from_toml(&scan.config)
         .map_err(|e| Failure::Input(format!("{shown}: its settings: {e}; scan again with this version")))?;
     if let Some(point) = args.effort.quality {

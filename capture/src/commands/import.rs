@@ -13,7 +13,7 @@ pub fn run(args: &cli::Import) -> Result<(), Failure> {
     check_parent(&args.output)?;
     match args.from {
         ImportFrom::Tum if args.mesh.is_some() => {
-            return Err(Failure::Usage("--mesh is for `import photos`; leave it out".into()));
+            return Err(Failure::Usage("--mesh is for `import photos`; omit it".into()));
         }
         ImportFrom::Tum => import_tum(&args.dir, &args.output)?,
         ImportFrom::Photos => {

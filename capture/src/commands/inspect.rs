@@ -1,4 +1,4 @@
-//! `lumiscan inspect`: what a file holds.
+//! `lumiscan inspect`: the contents of a file.
 
 use crate::cli;
 use crate::commands::output::print;
@@ -23,7 +23,7 @@ pub fn run(args: &cli::Inspect, as_json: bool) -> Result<(), Failure> {
         Some(RESULT) => result(&Estimate::read(&args.file)?),
         _ => {
             let shown = args.file.display();
-            return Err(Failure::Input(format!("{shown}: no file of Lumiscan's; give an .lrec, .lscan or .lres")));
+            return Err(Failure::Input(format!("{shown}: not a Lumiscan file; give an .lrec, .lscan or .lres")));
         }
     };
     if as_json { print_json(&summary) } else { print(lines(&summary, 0).trim_end()) }
@@ -79,7 +79,7 @@ fn result(r: &Estimate) -> Value {
     })
 }
 
-/// The same for people: one line a field, nested ones indented, long lists only counted.
+/// The same as text: one line per field, nested fields indented, long lists only counted.
 fn lines(value: &Value, depth: usize) -> String {
     const LONGEST: usize = 12;
     let indent = "  ".repeat(depth);

@@ -26,7 +26,7 @@ pub fn run(args: &cli::List, as_json: bool) -> Result<(), Failure> {
     }
     for f in &found {
         let serial = if f.serial.is_empty() { "without serial number" } else { &f.serial };
-        let note = if f.accessible { "" } else { " · may not be opened by this user; install the udev rule" };
+        let note = if f.accessible { "" } else { " · this user may not open it; install the udev rule" };
         print(&format!("{} · {serial} · bus {} path {} address {}{note}", f.model.name(), f.bus, f.path, f.address))?;
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! `lumiscan record`: what a Kinect sends, to a file.
+//! `lumiscan record`: the frames or USB packets of a Kinect to a file.
 
 use crate::cli;
 use crate::commands::output::check_parent;
@@ -9,24 +9,25 @@ use crate::device_folder::disk;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
 use crate::kinect::live::{Live, LiveStats, Polled};
+use crate::kinect::protocol::KinectError;
 use crate::report::{Reporter, Step};
 use crate::sources::sensor;
 use crate::stop::Stop;
 use crossbeam_channel::{Receiver, bounded};
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
-use recordings::types::UsbPacket;
+use recordings::types::{Accelerometer, UsbPacket};
 use serde_json::json;
 use std::path::Path;
 
 /// Batches waiting for the disk: a second of frames, or three of packets (of at most 2.4 MB each).
 const QUEUED: usize = 64;
-/// Packets are handed on by so many bytes, so that the queue holds some seconds of them while a disk rests.
-const GATHERED: usize = 1 << 20;
-/// Bytes a second that raw packets come to, headers of the file included.
+/// Bytes of packets in a batch: the queue then holds some seconds of them while the disk pauses.
+const BATCH_BYTES: usize = 1 << 20;
+/// Bytes a second of raw packets, file headers included.
 const RAW_RATE: f64 = 22.5e6;
-/// The same for compressed frames, at worst.
+/// Bytes a second of compressed frames, at most.
 const FRAME_RATE: f64 = 17.0e6;
-/// Without `--seconds` there shall be room for so many.
+/// Length that must fit on the disk where `--seconds` is not given.
 const OPEN_END_S: f64 = 60.0;
 
 /// Runs the command.
@@ -43,7 +44,8 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
     let rate = if args.raw { RAW_RATE } else { FRAME_RATE };
     disk::require(folder, rate, args.seconds.unwrap_or(OPEN_END_S))?;
 
-    let kind = if args.raw { RecordingKind::Packets } else { RecordingKind::Frames };
+    let (kind, content) =
+        if args.raw { (RecordingKind::Packets, "packets") } else { (RecordingKind::Frames, "frames") };
     let described = sensor::describe(&kinect, &config);
     let writer =
         RecordingWriter::create(&args.output, kind, &described).map_err(|e| Failure::Internal(e.to_string()))?;
@@ -55,8 +57,8 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
             .name("disk".into())
             .spawn_scoped(scope, || write(writer, &events))
             .map_err(|e| Failure::Internal(format!("thread `disk` could not be started: {e}")))?;
-        let session = Session { live, raw: args.raw, seconds: args.seconds, first: None, newest: 0 };
-        // A disk that is too slow fills the queue and then the ring, whose overflow is counted.
+        let session = Session::new(live, args.raw, args.seconds);
+        // A slow disk fills the queue and then the ring, which counts what it drops.
         let streamed = session.run(&stop, reporter, |batch| out.send(batch).is_ok());
         drop(out);
         disk.join().unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())))?;
@@ -64,9 +66,7 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
     })?;
     reporter.clear();
     if as_json {
-        print_json(
-            &json!({ "recording": args.output, "kind": format!("{kind:?}").to_lowercase(), "counters": counters(&counted) }),
-        )?;
+        print_json(&json!({ "recording": args.output, "kind": content, "counters": counters(&counted) }))?;
     } else {
         let (d, c) = (counted.streams.depth, counted.streams.color);
         tracing::info!(
@@ -96,17 +96,28 @@ fn write(mut writer: RecordingWriter, events: &Receiver<Vec<Event>>) -> Result<(
     writer.finish().map_err(|e| Failure::Internal(e.to_string()))
 }
 
+/// A recording in progress.
 struct Session {
     live: Live,
     raw: bool,
+    /// Length of the recording on the device's clock.
     seconds: Option<f64>,
     /// Device time of the first frame and of the newest, in nanoseconds.
     first: Option<i64>,
     newest: i64,
+    /// Events on their way to the disk, and the bytes of USB packets received meanwhile.
+    batch: Vec<Event>,
+    batch_bytes: usize,
 }
 
 impl Session {
-    /// Streams until the time is over, a signal came, the Kinect is gone, or `out` takes no more; true if it is gone.
+    fn new(live: Live, raw: bool, seconds: Option<f64>) -> Self {
+        // Commands and calibration come first: they say how the packets are to be decoded.
+        let batch = if raw { live.kinect().traffic().iter().cloned().map(Event::Packet).collect() } else { Vec::new() };
+        Self { live, raw, seconds, first: None, newest: 0, batch, batch_bytes: 0 }
+    }
+
+    /// Streams until the length is reached, a signal came, the Kinect is gone, or `out` accepts no more; true if it is gone.
     fn run(
         mut self,
         stop: &Stop,
@@ -114,82 +125,90 @@ impl Session {
         out: impl Fn(Vec<Event>) -> bool,
     ) -> Result<(LiveStats, bool), Failure> {
         self.live.set_led(Led::Scanning);
-        if self.raw {
-            // How the streams are to be read stands first.
-            let traffic = self.live.kinect().traffic().iter().cloned().map(Event::Packet).collect();
-            if !out(traffic) {
-                return Ok((self.live.stats(), false));
-            }
-        }
-        let (mut told, mut batch, mut bytes) = (None, Vec::new(), 0);
+        let mut silent = None;
         let gone = loop {
-            if let Some(stream) = self.live.silent_stream().filter(|s| told != Some(*s)) {
-                tracing::warn!("no {stream} frames come; plug the Kinect into a USB 2 port of its own");
-                told = Some(stream);
+            if let Some(stream) = self.live.silent_stream().filter(|s| silent != Some(*s)) {
+                tracing::warn!("no {stream} frames arrive; plug the Kinect into a USB 2 port of its own");
+                silent = Some(stream);
             }
-            let (mut packets, mut events, mut host_ns) = (Vec::new(), Vec::new(), 0);
-            let raw = self.raw;
-            let polled = self.live.poll(
-                &mut |p, data| {
-                    host_ns = p.host_ns;
-                    bytes += data.len();
-                    if raw {
-                        let packet = UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() };
-                        packets.push(Event::Packet(packet));
-                    }
-                },
-                &mut |event| events.push(event),
-            );
-            for event in &events {
-                if matches!(event, Event::Depth(_) | Event::Color(_)) {
-                    let t = event.timestamp_ns();
-                    self.first = Some(self.first.map_or(t, |f| f.min(t)));
-                    self.newest = self.newest.max(t);
-                }
-            }
-            if raw {
-                // Before the packets, so that where up is stands before the first frame; on the packets' clock.
-                events.retain_mut(|e| match e {
-                    Event::Accelerometer(a) => {
-                        a.timestamp_ns = host_ns;
-                        true
-                    }
-                    _ => false,
-                });
-                events.append(&mut packets);
-            }
-            batch.append(&mut events);
-            let full = if raw { bytes >= GATHERED } else { !batch.is_empty() };
-            let taken = !full || out(std::mem::take(&mut batch));
-            if full {
-                bytes = 0;
-            }
-            let seconds = self.first.map_or(0.0, |f| (self.newest - f) as f64 * 1e-9);
-            let over = self.seconds.is_some_and(|limit| seconds >= limit);
-            let exposure = self.live.exposure_us().map_or(String::new(), |us| format!(" · exposure {us:.0} µs"));
-            let frames = self.live.stats().streams.depth.frames;
-            let detail = format!("{seconds:.1} s · {frames} depth frames{exposure}");
-            reporter.step(&Step {
-                stage: "record".into(),
-                fraction: self.seconds.map(|s| (seconds / s).min(1.0)),
-                detail,
-            });
+            let polled = self.poll();
+            let full = if self.raw { self.batch_bytes >= BATCH_BYTES } else { !self.batch.is_empty() };
+            let accepted = !full || {
+                self.batch_bytes = 0;
+                out(std::mem::take(&mut self.batch))
+            };
+            self.report(reporter);
             match polled {
                 Ok(Polled::Gone) => break true,
-                // What came before it fell silent is worth keeping.
+                // What came before the failure is worth keeping.
                 Err(e) if self.first.is_some() => {
                     tracing::warn!("{e}");
                     break true;
                 }
                 Err(e) => return Err(sensor::failure(e)),
-                Ok(_) if over || !taken || stop.check().is_err() => break false,
+                Ok(_) if self.is_over() || !accepted || stop.check().is_err() => break false,
                 Ok(_) => {}
             }
         };
-        // A disk that takes no more says so itself.
-        let _ = out(batch);
+        // The disk thread returns its own error.
+        let _ = out(self.batch);
         self.live.set_led(if gone { Led::Error } else { Led::Ready });
         Ok((self.live.stats(), gone))
+    }
+
+    /// Moves what the Kinect sent into the batch.
+    fn poll(&mut self) -> Result<Polled, KinectError> {
+        let (raw, bytes) = (self.raw, &mut self.batch_bytes);
+        let (mut packets, mut events, mut host_ns) = (Vec::new(), Vec::new(), 0);
+        let polled = self.live.poll(
+            &mut |p, data| {
+                host_ns = p.host_ns;
+                *bytes += data.len();
+                if raw {
+                    let packet = UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() };
+                    packets.push(Event::Packet(packet));
+                }
+            },
+            &mut |event| events.push(event),
+        );
+        for event in &events {
+            if matches!(event, Event::Depth(_) | Event::Color(_)) {
+                let t = event.timestamp_ns();
+                self.first = Some(self.first.map_or(t, |f| f.min(t)));
+                self.newest = self.newest.max(t);
+            }
+        }
+        if raw {
+            // On the packets' clock, and before them: gravity is known before the first frame.
+            self.batch.extend(events.into_iter().filter_map(|e| match e {
+                Event::Accelerometer(a) => Some(Event::Accelerometer(Accelerometer { timestamp_ns: host_ns, ..a })),
+                _ => None,
+            }));
+            self.batch.append(&mut packets);
+        } else {
+            self.batch.append(&mut events);
+        }
+        polled
+    }
+
+    /// Seconds recorded, on the device's clock.
+    fn recorded_s(&self) -> f64 {
+        self.first.map_or(0.0, |f| (self.newest - f) as f64 * 1e-9)
+    }
+
+    fn is_over(&self) -> bool {
+        self.seconds.is_some_and(|limit| self.recorded_s() >= limit)
+    }
+
+    fn report(&self, reporter: &Reporter) {
+        let recorded = self.recorded_s();
+        let exposure = self.live.exposure_us().map_or(String::new(), |us| format!(" · exposure {us:.0} µs"));
+        let frames = self.live.stats().streams.depth.frames;
+        reporter.step(&Step {
+            stage: "record".into(),
+            fraction: self.seconds.map(|s| (recorded / s).min(1.0)),
+            detail: format!("{recorded:.1} s · {frames} depth frames{exposure}"),
+        });
     }
 }
 

@@ -28,7 +28,7 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
     let job = Job { name: &name, source: &args.source, scan: &scan_path, config: &config, board: None };
     let captured = pipeline::run(pairs, &job, &stop, reporter)?;
     write_file(&staging.folder().join("trajectory.txt"), trajectory::to_tum(&captured.trajectory).as_bytes())?;
-    told(&captured);
+    log_summary(&captured);
 
     let effort = (!args.no_estimate).then_some(&args.effort);
     let entry = publish::capture_entry(&args.source, captured);
@@ -42,11 +42,11 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
     failure.map_or(Ok(()), Err)
 }
 
-/// One line a person can judge a capture by.
-fn told(c: &Captured) {
+/// Logs the capture in one line.
+fn log_summary(c: &Captured) {
     let per_frame = c.fusion.as_secs_f64() * 1e3 / (c.stats.pairs.max(1) as f64);
     tracing::info!(
-        "{} of {} pairs tracked, {per_frame:.1} ms a frame · {} vertices, {} triangles, {} keyframes",
+        "{} of {} pairs tracked, {per_frame:.1} ms per frame · {} vertices, {} triangles, {} keyframes",
         c.trajectory.len(),
         c.stats.pairs,
         c.vertices,

@@ -1,9 +1,12 @@
-//! `lumiscan scan start|stop|status` over a local socket: one word in, one line of JSON out.
+//! The control socket of `lumiscan scan`: the client sends one word ([`Request`]), the daemon answers with one line of JSON
+//! ([`Reply`]).
 
 use crate::failure::Failure;
-use crate::orders::Orders;
+use crate::orders::{Orders, Request};
 use crate::status::{Board, State};
-use serde_json::{Value, json};
+use clap::ValueEnum;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -11,12 +14,35 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-/// Longest wait for the other side.
+/// Longest wait for the peer.
 const LIMIT: Duration = Duration::from_secs(2);
 /// Bytes of the longest request.
 const REQUEST_BYTES: usize = 1024;
 
-/// The daemon's end; removed from the file system when dropped.
+/// The daemon's answer to a request.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reply {
+    /// True if the request was carried out.
+    pub ok: bool,
+    /// Why it was refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub problem: Option<String>,
+    /// The contents of `status.json`, if asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub status: Option<Value>,
+}
+
+impl Reply {
+    fn done() -> Self {
+        Self { ok: true, problem: None, status: None }
+    }
+
+    fn refused(problem: String) -> Self {
+        Self { ok: false, problem: Some(problem), status: None }
+    }
+}
+
+/// The listening socket; removed from the file system when dropped.
 pub struct Server {
     listener: UnixListener,
     path: PathBuf,
@@ -82,27 +108,27 @@ fn answer(mut stream: UnixStream, board: &Board, orders: &Orders) -> std::io::Re
         }
     }
     let reply = reply(String::from_utf8_lossy(&request[..length]).trim(), board, orders);
-    writeln!(stream, "{reply}")
+    writeln!(stream, "{}", serde_json::to_string(&reply)?)
 }
 
-fn reply(request: &str, board: &Board, orders: &Orders) -> Value {
+/// Carries out a request, as far as the state allows it.
+fn reply(request: &str, board: &Board, orders: &Orders) -> Reply {
     let status = board.get();
-    let refused = |problem: String| json!({ "ok": false, "problem": problem });
-    let state = format!("{:?}", status.state).to_lowercase();
-    match (request, status.state) {
-        ("status", _) => json!({ "ok": true, "status": status }),
-        ("start", State::Ready) => {
+    let state = status.state;
+    match (Request::from_str(request, false), state) {
+        (Ok(Request::Status), _) => Reply { ok: true, problem: None, status: serde_json::to_value(status).ok() },
+        (Ok(Request::Start), State::Ready) => {
             orders.start();
-            json!({ "ok": true })
+            Reply::done()
         }
-        ("start", State::Waiting) => refused("no Kinect is plugged in; plug one in".into()),
-        ("start", _) => refused(format!("the box is {state}; wait for it to be ready")),
-        ("stop", State::Scanning) => {
+        (Ok(Request::Start), State::Waiting) => Reply::refused("no Kinect is plugged in; plug one in".into()),
+        (Ok(Request::Start), _) => Reply::refused(format!("the box is {state}; wait for it to be ready")),
+        (Ok(Request::Stop), State::Scanning) => {
             orders.stop();
-            json!({ "ok": true })
+            Reply::done()
         }
-        ("stop", _) => refused(format!("there is no scan to stop: the box is {state}")),
-        _ => refused("not understood; say start, stop or status".into()),
+        (Ok(Request::Stop), _) => Reply::refused(format!("there is no scan to stop: the box is {state}")),
+        (Err(_), _) => Reply::refused("unknown request; send start, stop or status".into()),
     }
 }
 
@@ -110,7 +136,7 @@ fn reply(request: &str, board: &Board, orders: &Orders) -> Value {
 ///
 /// # Errors
 /// No daemon listens there, or it does not answer.
-pub fn ask(path: &Path, request: &str) -> Result<Value, Failure> {
+pub fn ask(path: &Path, request: &str) -> Result<Reply, Failure> {
     let failed = |e: std::io::Error| {
         Failure::Input(format!("{}: {e}; is `lumiscan capture` running, and are you in its group?", path.display()))
     };
@@ -146,15 +172,15 @@ mod tests {
         let server = Server::listen(&path).unwrap();
         std::thread::scope(|scope| {
             scope.spawn(|| server.serve(&board, &orders, &done));
-            let ok = |request| ask(&path, request).unwrap()["ok"].as_bool().unwrap();
+            let ok = |request| ask(&path, request).unwrap().ok;
             assert!(!ok("start") && !orders.take_start());
             board.enter(State::Ready);
             assert!(!ok("stop") && ok("start") && orders.take_start() && !orders.take_start());
             board.begin_scan("x");
             assert!(!ok("start") && ok("stop") && orders.take_stop());
-            assert_eq!(ask(&path, "status").unwrap()["status"]["scan"]["name"], "x");
+            assert_eq!(ask(&path, "status").unwrap().status.unwrap()["scan"]["name"], "x");
             assert!(!ok("sing") && !ok("yyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyyy"));
-            // One that says nothing holds nobody up for long.
+            // A silent client does not block the others for long.
             let silent = UnixStream::connect(&path).unwrap();
             silent.shutdown(std::net::Shutdown::Write).unwrap();
             assert!(!ok(""));

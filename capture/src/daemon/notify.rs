@@ -1,13 +1,13 @@
-//! sd_notify(3): lines of `KEY=value` as datagrams to the service manager's socket.
+//! sd_notify(3): `KEY=value` lines as datagrams to the service manager's socket.
 
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 
-/// Sends to the service manager, if one listens.
+/// Connection to the service manager, if there is one.
 pub struct Notifier(Option<(UnixDatagram, SocketAddr)>);
 
 impl Notifier {
-    /// As `NOTIFY_SOCKET` says; a leading `@` stands for the abstract name space.
+    /// From `NOTIFY_SOCKET`; a leading `@` means the abstract name space.
     #[must_use]
     pub fn from_environment() -> Self {
         let socket = std::env::var("NOTIFY_SOCKET").ok().and_then(|name| {
@@ -20,7 +20,7 @@ impl Notifier {
         Self(socket)
     }
 
-    /// Sends one line. That nobody listens is no fault.
+    /// Sends one line; without a service manager it does nothing.
     pub fn send(&self, line: &str) {
         if let Some((socket, address)) = &self.0 {
             let _ = socket.send_to_addr(line.as_bytes(), address);

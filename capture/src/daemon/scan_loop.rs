@@ -30,62 +30,62 @@ use std::path::Path;
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Between two looks for a Kinect that is not there, or still there.
-const LOOK: Duration = Duration::from_secs(1);
-/// Between two looks at orders.
-const REST: Duration = Duration::from_millis(50);
+/// Time between two searches for a Kinect, or checks that it is still plugged in.
+const DEVICE_POLL: Duration = Duration::from_secs(1);
+/// Time between two checks for orders.
+const ORDER_POLL: Duration = Duration::from_millis(50);
 
-/// Everything the daemon works with.
+/// The daemon and what it works with.
 pub struct Daemon<'a> {
     /// The command line.
     pub args: &'a Capture,
     /// Settings.
     pub config: &'a Config,
-    /// What is shown.
+    /// Receives state and figures.
     pub board: &'a Arc<Board>,
-    /// What the user wants.
+    /// Requests of the user.
     pub orders: &'a Orders,
-    /// What the service manager wants.
+    /// Signals of the service manager.
     pub stop: &'a Stop,
     /// Log.
     pub reporter: &'a Reporter,
-    /// The last scan ended with a problem: the LED says so until the next one begins.
-    pub trouble: Cell<bool>,
+    /// The last scan ended with an error, which the LED shows until the next one begins.
+    pub last_scan_failed: Cell<bool>,
 }
 
 impl Daemon<'_> {
     /// Runs until a signal comes, or the number of scans is reached.
     ///
     /// # Errors
-    /// The device folder cannot be used. Everything else is survived: it is shown, and the next scan is another one.
+    /// The device folder cannot be used. Any other error is shown, and the daemon continues with the next scan.
     pub fn run(&self, mut bus: Box<dyn Bus>) -> Result<(), Failure> {
         self.finish_interrupted()?;
-        while self.stop.check().is_ok() && !self.is_enough() {
+        while self.stop.check().is_ok() && !self.has_finished() {
             let Some(kinect) = self.wait_for_kinect(bus.as_mut()) else { break };
             let waited =
                 if self.args.auto { self.wait_for_motion(kinect) } else { self.wait_for_order(kinect, bus.as_mut()) };
             let Some(live) = waited else { continue };
-            self.trouble.set(false);
+            self.last_scan_failed.set(false);
             if let Err(e) = self.scan(live)
                 && self.stop.check().is_ok()
             {
-                self.trouble(&e.to_string());
-                // Whatever it was, it shall not be tried a thousand times a second.
-                self.rest(LOOK);
+                self.report_problem(&e.to_string());
+                // An error that comes at once would repeat without end.
+                self.sleep(DEVICE_POLL);
             }
         }
         Ok(())
     }
 
-    fn is_enough(&self) -> bool {
+    fn has_finished(&self) -> bool {
         self.args.scans.is_some_and(|n| self.board.get().finished_scans >= n)
     }
 
-    /// Opens the Kinect as soon as there is one that answers; `None` if the daemon is to end.
+    /// Opens the first Kinect that answers; `None` when the daemon is to end.
     fn wait_for_kinect(&self, bus: &mut dyn Bus) -> Option<Kinect> {
         self.board.enter(State::Waiting);
         self.board.set(|s| s.sensor = None);
-        let (mut told, mut times) = (String::new(), 0);
+        let (mut last, mut times): (Option<KinectError>, u32) = (None, 0);
         while self.stop.check().is_ok() {
             match Kinect::open(bus, &self.config.kinect.serial, &self.config.kinect) {
                 Ok(mut kinect) => {
@@ -93,49 +93,48 @@ impl Daemon<'_> {
                     let name = format!("{} {}", found.model.name(), found.serial);
                     tracing::info!("{name} is ready");
                     self.board.set(|s| s.sensor = Some(name));
-                    kinect.set_led(if self.trouble.get() { Led::Error } else { Led::Ready });
+                    kinect.set_led(if self.last_scan_failed.get() { Led::Error } else { Led::Ready });
                     self.orders.clear();
                     self.board.enter(State::Ready);
                     return Some(kinect);
                 }
                 Err(e) => {
-                    let text = e.to_string();
-                    times = if told == text { times + 1 } else { 1 };
-                    // While it is plugged in, its parts show one after the other.
-                    let believed_at = if e == KinectError::Usb(UsbError::NoPower) { 2 } else { 1 };
+                    times = if last.as_ref() == Some(&e) { times + 1 } else { 1 };
+                    // The parts of a Kinect appear one after the other while it is plugged in.
+                    let report_at = if e == KinectError::Usb(UsbError::NoPower) { 2 } else { 1 };
                     if e.is_gone() {
-                        tracing::debug!("{text}");
-                    } else if times == believed_at {
-                        self.board.error(&text);
+                        tracing::debug!("{e}");
+                    } else if times == report_at {
+                        self.board.error(&e.to_string());
                     }
-                    told = text;
+                    last = Some(e);
                 }
             }
-            self.rest(LOOK);
+            self.sleep(DEVICE_POLL);
         }
         None
     }
 
-    /// Waits for the order to start; `None` if the Kinect went away or the daemon is to end.
+    /// Waits for the order to start; `None` when the Kinect is unplugged or the daemon is to end.
     fn wait_for_order(&self, kinect: Kinect, bus: &mut dyn Bus) -> Option<Live> {
         let mut looked = Instant::now();
         while self.stop.check().is_ok() {
             if self.orders.take_start() {
                 return self.started(Live::start(kinect, &self.config.kinect));
             }
-            if looked.elapsed() >= LOOK {
+            if looked.elapsed() >= DEVICE_POLL {
                 looked = Instant::now();
                 if !bus.is_here(kinect.found()) {
                     tracing::info!("the Kinect was unplugged");
                     return None;
                 }
             }
-            std::thread::sleep(REST);
+            std::thread::sleep(ORDER_POLL);
         }
         None
     }
 
-    /// Streams until the sensor has been still and then moves.
+    /// Streams until the sensor has been still and then moves; `None` when it is unplugged or the daemon is to end.
     fn wait_for_motion(&self, kinect: Kinect) -> Option<Live> {
         let mut live = self.started(Live::start(kinect, &self.config.kinect))?;
         let mut motion = Motion::new(self.config.daemon.motion);
@@ -143,8 +142,8 @@ impl Daemon<'_> {
         while self.stop.check().is_ok() {
             let polled = live.poll(&mut |_, _| {}, &mut |event| {
                 match &event {
-                    Event::Color(c) => motion.see_color(c),
-                    Event::Depth(d) => motion.see_depth(d),
+                    Event::Color(c) => motion.add_color(c),
+                    Event::Depth(d) => motion.add_depth(d),
                     _ => None,
                 };
             });
@@ -190,14 +189,14 @@ impl Daemon<'_> {
         let pairs = Pairs::live(streaming, &self.config.capture);
         let scan_path = staging.folder().join("scan.lscan");
         let job = Job { name: &name, source, scan: &scan_path, config: self.config, board: Some(self.board) };
-        // A signal ends the capture, not the work on what was captured.
-        let captured = pipeline::run(pairs, &job, &self.stop.deaf(), self.reporter);
+        // A signal ends the capture; what was captured is still fused and written.
+        let captured = pipeline::run(pairs, &job, &self.stop.without_signals(), self.reporter);
         let ending = ending.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(problem) = ending.and_then(|e| e.problem()) {
-            self.trouble(&problem);
+            self.report_problem(&problem);
         }
         let captured = captured?;
-        // From here on everything can be done again from the scan file.
+        // From here on, everything can be repeated from the scan file.
         staging.keep();
         let text = trajectory::to_tum(&captured.trajectory);
         write_file(&staging.folder().join("trajectory.txt"), text.as_bytes())?;
@@ -219,7 +218,7 @@ impl Daemon<'_> {
             publish::publish(staging, name, entry, effort, self.stop, self.reporter)?;
         tracing::info!("published {}", folder.display());
         if let Some(failure) = failure {
-            self.trouble(&failure.to_string());
+            self.report_problem(&failure.to_string());
         }
         self.board.set(|s| {
             s.finished_scans += 1;
@@ -228,14 +227,14 @@ impl Daemon<'_> {
         Ok(())
     }
 
-    /// Finishes what an interrupted run left, or sets it aside.
+    /// Finishes the scans of an interrupted run, or sets them aside.
     fn finish_interrupted(&self) -> Result<(), Failure> {
         let device = &self.args.device;
         for folder in retention::unfinished(device) {
             if self.stop.check().is_err() {
                 break;
             }
-            // A damaged or absent scan file is no scan; the rename that made it complete came after its last byte.
+            // The rename that makes a scan file visible follows its last byte, so one that cannot be read is incomplete.
             let Ok(scan) = Scan::read(&folder.join("scan.lscan")) else {
                 retention::set_aside(device, &folder, self.config.daemon.max_aside)?;
                 continue;
@@ -259,20 +258,20 @@ impl Daemon<'_> {
         Ok(())
     }
 
-    fn trouble(&self, problem: &str) {
-        self.trouble.set(true);
+    fn report_problem(&self, problem: &str) {
+        self.last_scan_failed.set(true);
         self.board.error(problem);
     }
 
-    fn rest(&self, time: Duration) {
+    fn sleep(&self, time: Duration) {
         let until = Instant::now() + time;
         while Instant::now() < until && self.stop.check().is_ok() {
-            std::thread::sleep(REST);
+            std::thread::sleep(ORDER_POLL);
         }
     }
 }
 
-/// What an interrupted run wrote behind the scan file is made anew.
+/// Removes what an interrupted run derived from the scan file.
 fn remove_results(folder: &Path) {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for entry in entries.filter(|e| e.file_name() != "scan.lscan" && e.file_name() != "trajectory.txt") {

@@ -10,13 +10,13 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Between two versions of `status.json` when nothing but figures changed.
+/// Time between two versions of `status.json` while the state stays the same.
 const INTERVAL: Duration = Duration::from_secs(1);
-/// Work that shows no sign of life for so long is not reported as alive any more.
+/// Longest time without a heartbeat before the watchdog is no longer fed.
 const STUCK: Duration = Duration::from_secs(45);
 
-/// Writes `status.json` and keeps the service manager informed until `done` is set; the body of a thread.
-pub fn publish(board: &Board, device: &Path, life: &Stop, done: &AtomicBool) {
+/// Writes `status.json` and reports to the service manager until `done` is set; the body of a thread.
+pub fn publish(board: &Board, device: &Path, stop: &Stop, done: &AtomicBool) {
     let notifier = Notifier::from_environment();
     let path = device.join("status.json");
     let (mut written, mut last): (Option<Instant>, Option<State>) = (None, None);
@@ -31,14 +31,14 @@ pub fn publish(board: &Board, device: &Path, life: &Stop, done: &AtomicBool) {
             status.memory_bytes = memory::resident_bytes();
             status.memory_peak_bytes = memory::peak_bytes();
             status.disk_free_bytes = free_bytes(device).ok();
-            // A disk that is full today may have room tomorrow.
+            // A full disk may have room again later.
             let replaced = serde_json::to_vec_pretty(&status)
                 .map_err(std::io::Error::from)
                 .and_then(|text| replace_unsynced(&path, &text));
             if let Err(e) = replaced {
                 tracing::debug!("{}: {e}", path.display());
             }
-            if life.last_sign() < STUCK {
+            if stop.since_heartbeat() < STUCK {
                 notifier.send("WATCHDOG=1");
             }
         }
@@ -46,10 +46,10 @@ pub fn publish(board: &Board, device: &Path, life: &Stop, done: &AtomicBool) {
     }
 }
 
-/// One line for people.
+/// The status in one line.
 #[must_use]
 pub fn line(s: &Status) -> String {
-    let mut text = format!("{:?}", s.state).to_lowercase();
+    let mut text = s.state.to_string();
     if let Some(scan) = &s.scan {
         text += &format!(
             " {} · {:.0} s · {:.1} fps · {} dropped",

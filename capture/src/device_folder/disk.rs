@@ -1,4 +1,4 @@
-//! How much room the disk has, and how fast it is.
+//! Free space and write speed of a disk.
 
 use crate::failure::Failure;
 use firmware_config::DaemonConfig;
@@ -9,27 +9,27 @@ use std::time::Instant;
 
 /// Bytes written to measure a disk's speed.
 const PROBE_BYTES: usize = 48 << 20;
-/// Bytes a write.
+/// Bytes per write.
 const PROBE_CHUNK: usize = 1 << 20;
 
 /// Free bytes for this user on the file system of `folder`.
 ///
 /// # Errors
-/// The folder is not there.
+/// The folder does not exist.
 pub fn free_bytes(folder: &Path) -> Result<u64, Failure> {
     let s = rustix::fs::statvfs(folder).map_err(|e| Failure::Internal(format!("{}: {e}", folder.display())))?;
     Ok(s.f_bavail.saturating_mul(s.f_frsize))
 }
 
-/// True if the disk has the room that a scan in progress needs.
+/// True if the disk has the room that a scan in progress needs (`daemon.min_free_mb`).
 ///
 /// # Errors
-/// The device folder is gone.
+/// The device folder does not exist.
 pub fn has_room(device: &Path, config: &DaemonConfig) -> Result<bool, Failure> {
     Ok(free_bytes(device)? >= u64::from(config.min_free_mb) * 1_000_000)
 }
 
-/// Bytes a second that a file in `folder` takes until they are on the disk.
+/// Bytes per second that reach the disk, measured with a temporary file in `folder`.
 ///
 /// # Errors
 /// The folder cannot be written.
@@ -41,7 +41,7 @@ pub fn write_speed(folder: &Path) -> Result<f64, Failure> {
 }
 
 fn measure(path: &Path) -> std::io::Result<f64> {
-    // Not all the same, should the file system compress.
+    // Not constant, since the file system may compress.
     let chunk: Vec<u8> = (0..PROBE_CHUNK as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     let mut file = File::create(path)?;
     let began = Instant::now();
@@ -52,10 +52,10 @@ fn measure(path: &Path) -> std::io::Result<f64> {
     Ok(PROBE_BYTES as f64 / began.elapsed().as_secs_f64().max(1e-6))
 }
 
-/// Refuses a disk that cannot take `rate` bytes a second for `seconds`.
+/// Checks that the disk can take `rate` bytes per second for `seconds`.
 ///
 /// # Errors
-/// It is too small or too slow; the message says by how much.
+/// It is too small or too slow; the message gives both figures.
 pub fn require(folder: &Path, rate: f64, seconds: f64) -> Result<(), Failure> {
     let (free, needed) = (free_bytes(folder)?, rate * seconds + PROBE_BYTES as f64);
     let shown = folder.display();
@@ -69,7 +69,7 @@ pub fn require(folder: &Path, rate: f64, seconds: f64) -> Result<(), Failure> {
     let speed = write_speed(folder)?;
     if speed < 1.2 * rate {
         return Err(Failure::Internal(format!(
-            "{shown}: the disk takes {:.0} MB/s, {:.0} MB/s are needed; record to a faster one",
+            "{shown}: the disk writes {:.0} MB/s, {:.0} MB/s are needed; record to a faster one",
             speed / 1e6,
             1.2 * rate / 1e6
         )));

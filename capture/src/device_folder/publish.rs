@@ -5,7 +5,7 @@ use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, Manifest};
 use crate::device_folder::naming::utc;
 use crate::device_folder::staging::Staging;
-use crate::estimator_process::{self, Ended};
+use crate::estimator_process::{self, Outcome};
 use crate::failure::Failure;
 use crate::memory;
 use crate::pipeline::Captured;
@@ -61,7 +61,7 @@ fn estimate(
     if effort.rounds.is_none() {
         reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
     }
-    let Ended { summary, mut failure } = estimator_process::estimate(folder, effort, stop, reporter)?;
+    let Outcome { summary, mut failure } = estimator_process::estimate(folder, effort, stop, reporter)?;
     let mut entry = EstimatorEntry { outcome: "failed", ..EstimatorEntry::default() };
     if let Some(summary) = summary {
         entry.seconds = summary.stages;

@@ -1,5 +1,5 @@
-//! The device folder over years: names that are unique without a clock, room for the next scan, and what an interrupted
-//! run left.
+//! Numbering and removal of the daemon's scans: names that are unique without a correct clock, room for the next scan, and
+//! the remains of interrupted runs.
 
 use crate::device_folder::disk::has_room;
 use crate::device_folder::files::write_file;
@@ -9,14 +9,14 @@ use firmware_config::DaemonConfig;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Where partial scans are kept.
+/// Folder of partial scans.
 const ASIDE: &str = "aside";
 /// File with the number of the newest scan.
 const COUNTER: &str = "counter";
-/// How scans of the daemon are called.
+/// Stem of the daemon's scan names.
 const NAME: &str = "scan";
 
-/// The next scan's name, `scan-0042`: numbers are never used twice, whatever the clock says and whatever was deleted.
+/// The next scan's name, `scan-0042`: a number is never used twice, whatever the clock shows and whatever was deleted.
 ///
 /// # Errors
 /// The device folder cannot be written.
@@ -41,7 +41,7 @@ fn names(dir: &Path) -> Vec<String> {
     entries.filter_map(|e| e.file_name().into_string().ok()).collect()
 }
 
-/// Folders that interrupted runs of the daemon left: those with a complete scan file can be finished.
+/// Folders of interrupted runs of the daemon; those with a complete scan file can be finished.
 #[must_use]
 pub fn unfinished(device: &Path) -> Vec<PathBuf> {
     let scans = device.join("scans");
@@ -51,7 +51,7 @@ pub fn unfinished(device: &Path) -> Vec<PathBuf> {
     all
 }
 
-/// Puts what cannot be finished out of the way, and keeps only the newest few of its kind.
+/// Moves a scan that cannot be finished to `aside/`, and keeps only the `keep` newest there.
 ///
 /// # Errors
 /// The device folder cannot be written.
@@ -60,7 +60,7 @@ pub fn set_aside(device: &Path, folder: &Path, keep: u32) -> Result<(), Failure>
     std::fs::create_dir_all(&aside).map_err(|e| Failure::writing(&aside, e))?;
     let name = folder.file_name().map_or("partial".into(), |n| n.to_string_lossy().replacen(UNFINISHED, "", 1));
     let target = aside.join(&name);
-    // One of the same name is of the same interrupted scan.
+    // A folder of the same name is of the same interrupted scan.
     let _ = std::fs::remove_dir_all(&target);
     std::fs::rename(folder, &target).map_err(|e| Failure::writing(&target, e))?;
     tracing::warn!("an interrupted scan is set aside in {}", target.display());
@@ -73,7 +73,7 @@ pub fn set_aside(device: &Path, folder: &Path, keep: u32) -> Result<(), Failure>
 /// Removes the oldest finished scans until the device folder is within its limit and the disk has room.
 ///
 /// # Errors
-/// There is not enough room although no finished scan is left.
+/// There is too little room even without any finished scan.
 pub fn make_room(device: &Path, config: &DaemonConfig) -> Result<(), Failure> {
     let scans = device.join("scans");
     let mut finished = by_age(&scans);
@@ -84,20 +84,20 @@ pub fn make_room(device: &Path, config: &DaemonConfig) -> Result<(), Failure> {
     while used > limit || !has_room(device, config)? {
         let Some(folder) = oldest.next() else { break };
         used = used.saturating_sub(size(&folder));
-        tracing::warn!("{} goes, to make room", folder.display());
+        tracing::warn!("removing {} to make room", folder.display());
         remove(&folder);
     }
     if has_room(device, config)? {
         return Ok(());
     }
     Err(Failure::Internal(format!(
-        "{}: less than {} MB are free; free some, or lower daemon.min_free_mb",
+        "{}: less than {} MB are free; free space, or lower daemon.min_free_mb",
         device.display(),
         config.min_free_mb
     )))
 }
 
-/// Folders, oldest first: by the daemon's own numbers (the clock may have been wrong), those without one before.
+/// Folders, oldest first, by the daemon's own numbers since the clock may have been wrong; those without a number first.
 fn by_age(dir: &Path) -> Vec<PathBuf> {
     let mut all: Vec<_> = names(dir)
         .into_iter()
@@ -112,13 +112,13 @@ fn by_age(dir: &Path) -> Vec<PathBuf> {
     all.into_iter().map(|(.., path)| path).collect()
 }
 
-/// Bytes of the files in a folder.
+/// Total size of the files in a folder, in bytes.
 fn size(folder: &Path) -> u64 {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
 }
 
-/// Renamed first, so that a folder is there as a whole or not at all.
+/// Removes a folder. It is renamed first, so that readers see all of it or nothing.
 fn remove(folder: &Path) {
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let doomed = folder.with_file_name(format!("{STAGING}0-{name}"));

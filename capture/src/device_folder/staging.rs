@@ -11,19 +11,19 @@ pub const STAGING: &str = ".staging-";
 /// Prefix of the folders that the daemon fills.
 pub const UNFINISHED: &str = ".capture-";
 
-/// A scan that is being made, in a folder that goes away again unless it is published.
+/// A scan that is being made, in a folder that is removed unless it is published.
 #[derive(Debug)]
 pub struct Staging {
     scans: PathBuf,
     folder: PathBuf,
     id: String,
     published: bool,
-    /// Left where it is if it is not published: it can be finished later.
+    /// The folder stays if it is not published, to be finished later.
     keep: bool,
 }
 
 impl Staging {
-    /// Makes `<device>/scans/.staging-…`, and removes those that killed processes left behind.
+    /// Makes `<device>/scans/.staging-…`, and removes those of processes that were killed.
     ///
     /// # Errors
     /// The device folder cannot be written.
@@ -37,7 +37,7 @@ impl Staging {
         Ok(Self { scans, folder, id, published: false, keep: false })
     }
 
-    /// The daemon's: `<device>/scans/.capture-…`, which only the daemon cleans up after an interrupted run.
+    /// Makes `<device>/scans/.capture-…`, which only the daemon cleans up after an interrupted run.
     ///
     /// # Errors
     /// The device folder cannot be written.
@@ -49,19 +49,19 @@ impl Staging {
         Ok(Self { scans, folder, id, published: false, keep: false })
     }
 
-    /// One that an interrupted run left.
+    /// Takes over a folder of an interrupted run.
     ///
     /// # Errors
-    /// It is none.
+    /// It is not such a folder.
     pub fn resume(folder: &Path) -> Result<Self, Failure> {
         let id = folder.file_name().and_then(|n| n.to_str()).and_then(|n| n.strip_prefix(UNFINISHED));
         let (Some(id), Some(scans)) = (id, folder.parent()) else {
-            return Err(Failure::Internal(format!("{}: no unfinished scan", folder.display())));
+            return Err(Failure::Internal(format!("{}: not an unfinished scan", folder.display())));
         };
         Ok(Self { scans: scans.into(), folder: folder.into(), id: id.into(), published: false, keep: true })
     }
 
-    /// From now on the folder outlives this process, published or not.
+    /// Keeps the folder from now on, even if it is not published.
     pub fn keep(&mut self) {
         self.keep = true;
     }
@@ -72,7 +72,7 @@ impl Staging {
         &self.folder
     }
 
-    /// Makes the folder visible as `<device>/scans/<utc>-<name>` (with a number behind it where that is taken) and
+    /// Makes the folder visible as `<device>/scans/<utc>-<name>` (with a number appended if that exists) and
     /// returns its path.
     ///
     /// # Errors
@@ -82,7 +82,7 @@ impl Staging {
         for attempt in 1u32.. {
             let suffix = if attempt == 1 { String::new() } else { format!("-{attempt}") };
             let target = self.scans.join(format!("{}{suffix}", self.id));
-            // Renaming onto a folder that is not empty fails, so no other process's scan is ever replaced.
+            // A rename onto a folder that is not empty fails, so no scan is ever replaced.
             match std::fs::rename(&self.folder, &target) {
                 Ok(()) => {
                     self.published = true;
@@ -109,7 +109,7 @@ fn cannot_write(path: &Path, e: &std::io::Error) -> Failure {
     Failure::Internal(format!("{}: {e}; choose a device folder that can be written with --device", path.display()))
 }
 
-/// Removes staging folders whose process (its id stands in the name) is no more.
+/// Removes staging folders whose process, named by its id, has ended.
 fn remove_abandoned(scans: &Path) {
     let Ok(entries) = std::fs::read_dir(scans) else { return };
     for entry in entries.flatten() {
@@ -117,7 +117,7 @@ fn remove_abandoned(scans: &Path) {
         let pid = name.to_str().and_then(|n| n.strip_prefix(STAGING)).and_then(|n| n.split('-').next());
         let alive = |pid: &str| Path::new("/proc").join(pid).exists();
         if pid.is_some_and(|p| !alive(p)) {
-            tracing::info!("removing what an interrupted run left: {}", entry.path().display());
+            tracing::info!("removing the remains of an interrupted run: {}", entry.path().display());
             let _ = std::fs::remove_dir_all(entry.path());
         }
     }

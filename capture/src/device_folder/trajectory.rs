@@ -1,4 +1,4 @@
-//! `trajectory.txt` in the TUM format: one line per tracked frame, with the colour frame's own time stamp.
+//! `trajectory.txt` in the TUM format: one line per tracked frame, with the time stamp of its colour frame.
 
 use recordings::format_seconds;
 use recordings::types::{Pose, TimestampNs};

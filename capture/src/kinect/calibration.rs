@@ -1,6 +1,6 @@
 //! The geometry that a Kinect reports of itself.
 
-/// Zero-plane geometry (fixed parameters) and the raw offset: what turns raw values into millimetres.
+/// Zero-plane geometry (fixed parameters) and raw offset, which turn raw values into millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ZeroPlane {
     /// Distance from the emitter to the infrared camera, cm.
@@ -14,7 +14,7 @@ pub struct ZeroPlane {
 }
 
 impl ZeroPlane {
-    /// False for what no Kinect has.
+    /// False for values that no Kinect has.
     #[must_use]
     pub fn is_plausible(&self) -> bool {
         (1.0..30.0).contains(&self.emitter_cm)
@@ -27,7 +27,7 @@ impl ZeroPlane {
 /// The 29 values of the registration block, in wire order.
 pub const REGISTRATION_VALUES: usize = 29;
 
-/// The coefficients of the registration block that are used.
+/// The registration block.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Registration {
     words: [i32; REGISTRATION_VALUES],
@@ -65,6 +65,6 @@ pub struct Calibration {
     pub zero_plane: ZeroPlane,
     /// Depth to colour.
     pub registration: Registration,
-    /// Rows above the image that the table counts.
+    /// Rows above the image in the registration table.
     pub start_lines: u16,
 }

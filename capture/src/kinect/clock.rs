@@ -1,12 +1,12 @@
-//! The Kinect's 60 MHz clock, unwrapped: its 32-bit time stamps start again every 71.6 s.
+//! Unwraps the time stamps of the Kinect's 60 MHz clock: 32 bits overflow every 71.6 s.
 
 use firmware_config::kinect_models::CLOCK_HZ;
 use recordings::types::TimestampNs;
 
 const WRAP: i64 = 1 << 32;
 
-/// Unwraps time stamps of both streams (they share one clock) with the help of the host's time of arrival, so that a
-/// silence longer than a wrap is bridged, too.
+/// Unwraps the time stamps of both streams, which share one clock. The host's time of arrival bridges silences longer than
+/// an overflow.
 #[derive(Debug, Clone, Default)]
 pub struct DeviceClock {
     /// Unwrapped ticks and host time of the newest stamp.
@@ -14,14 +14,14 @@ pub struct DeviceClock {
 }
 
 impl DeviceClock {
-    /// Time of a stamp in nanoseconds since the clock's last zero before the first stamp; `host_ns` is when it arrived.
+    /// Time of a stamp in nanoseconds since the clock's last zero before the first stamp; `host_ns` is its time of arrival.
     pub fn unwrap(&mut self, ticks: u32, host_ns: i64) -> TimestampNs {
         let unwrapped = match self.newest {
             None => i64::from(ticks),
             Some((last, last_host)) => {
                 let silence_ns = host_ns.saturating_sub(last_host).max(0);
                 let expected = last.saturating_add(ns_to_ticks(silence_ns));
-                // The value congruent to `ticks` that is nearest to what the host's clock expects.
+                // The value congruent to `ticks` that is nearest to the expectation of the host's clock.
                 let offset = (i64::from(ticks) - expected).rem_euclid(WRAP);
                 expected.saturating_add(if offset >= WRAP / 2 { offset - WRAP } else { offset })
             }

@@ -1,29 +1,29 @@
-//! Everything after USB: packets in, frames out. A live Kinect and a recording of packets go through the same code, so
-//! that a recording replays bit for bit.
+//! USB packets to frames: assembly, decoding and time stamps. A live Kinect and a recording of packets use the same code, so
+//! a recording replays bit for bit.
 
 use crate::kinect::clock::DeviceClock;
 use crate::kinect::depth_decoder::DepthDecoder;
 use crate::kinect::packet_assembler::{Assembled, Assembler, PacketStats};
-use crate::kinect::protocol::{CONTROL_IN, CONTROL_OUT, KinectError, Said};
+use crate::kinect::protocol::{CONTROL_IN, CONTROL_OUT, KinectError, StreamParameters};
 use firmware_config::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, StreamFormat};
 use recordings::recording::Event;
 use recordings::types::{ColorEncoding, ColorFrame};
 
-/// What came of both streams.
+/// Counters of both streams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DecoderStats {
     /// Depth.
     pub depth: PacketStats,
     /// Colour.
     pub color: PacketStats,
-    /// Packets of no known endpoint.
+    /// Packets of unknown endpoints.
     pub strays: u64,
 }
 
 /// Turns packets into frames.
 #[derive(Default)]
 pub struct Decoder {
-    said: Said,
+    parameters: StreamParameters,
     clock: DeviceClock,
     streams: Option<Streams>,
     strays: u64,
@@ -37,10 +37,10 @@ struct Streams {
 }
 
 impl Decoder {
-    /// Takes a packet: control traffic first, which says how the streams are to be read, then theirs.
+    /// Takes a packet: first the control traffic, which defines the streams' formats and calibration, then the streams.
     ///
     /// # Errors
-    /// A stream packet came, but the calibration before it is missing or makes no sense.
+    /// A stream packet arrived, but the calibration before it is missing or implausible.
     pub fn push(
         &mut self,
         endpoint: u8,
@@ -49,12 +49,12 @@ impl Decoder {
         sink: &mut impl FnMut(Event),
     ) -> Result<(), KinectError> {
         if matches!(endpoint, CONTROL_OUT | CONTROL_IN) {
-            self.said.hear(endpoint, data);
+            self.parameters.observe(endpoint, data);
             return Ok(());
         }
         let streams = match &mut self.streams {
             Some(streams) => streams,
-            none => none.insert(Streams::new(&self.said)?),
+            none => none.insert(Streams::new(&self.parameters)?),
         };
         let clock = &mut self.clock;
         if endpoint == DEPTH_11.endpoint {
@@ -80,7 +80,7 @@ impl Decoder {
         Ok(())
     }
 
-    /// The streams ended: half frames are given up and counted.
+    /// Ends the streams: incomplete last frames are counted as lost.
     pub fn end(&mut self) {
         if let Some(streams) = &mut self.streams {
             streams.depth.end();
@@ -98,10 +98,10 @@ impl Decoder {
 }
 
 impl Streams {
-    fn new(said: &Said) -> Result<Self, KinectError> {
-        let calibration = said.calibration()?;
-        let depth_format = if said.is_depth_10() { &DEPTH_10 } else { &DEPTH_11 };
-        let color_format = if said.is_color_sxga() { &BAYER_SXGA } else { &BAYER_VGA };
+    fn new(parameters: &StreamParameters) -> Result<Self, KinectError> {
+        let calibration = parameters.calibration()?;
+        let depth_format = if parameters.is_depth_10() { &DEPTH_10 } else { &DEPTH_11 };
+        let color_format = if parameters.is_color_sxga() { &BAYER_SXGA } else { &BAYER_VGA };
         Ok(Self {
             depth: Assembler::new(depth_format),
             decoder: DepthDecoder::new(&calibration, depth_format),

@@ -6,10 +6,10 @@ use crate::kinect::registration::{HEIGHT, NO_DEPTH, RAW_VALUES, SUBPIXELS, WIDTH
 use firmware_config::kinect_models::StreamFormat;
 use recordings::types::{DepthFrame, TimestampNs};
 
-/// Turns packed raw frames into depth images of the colour camera.
+/// Decodes packed raw frames of one device into depth images registered to the colour camera.
 pub struct DepthDecoder {
     format: &'static StreamFormat,
-    /// Raw value to millimetres (0 = none) and the shift at that depth.
+    /// `[raw]` → (mm, 0 = none; shift in 1/256 pixel).
     lookup: Vec<(u16, i32)>,
     table: Vec<[i32; 2]>,
     start_lines: usize,
@@ -29,7 +29,7 @@ impl DepthDecoder {
         }
     }
 
-    /// Decodes and registers a frame; `missing` names packets that are not there, whose pixels have no value.
+    /// Decodes and registers a frame, `[y][x]` in millimetres, 0 = no depth. Pixels of the `missing` packets have no depth.
     #[must_use]
     pub fn decode(&mut self, packed: &[u8], missing: &[u16], timestamp_ns: TimestampNs) -> DepthFrame {
         unpack(self.format.bits, packed, &mut self.raw);
@@ -62,7 +62,7 @@ impl DepthDecoder {
         }
     }
 
-    /// Pixels of which at least one bit is in a packet.
+    /// Pixels with at least one bit in a packet.
     fn pixels_of(&self, packet: usize) -> std::ops::Range<usize> {
         let bits = self.format.bits as usize;
         let start = packet * self.format.payload * 8;

@@ -37,7 +37,7 @@ const DRAIN_LIMIT: Duration = Duration::from_secs(3);
 const MAX_ERRORS: u32 = 256;
 /// Largest isochronous packet of a high-speed bus.
 const MAX_PACKET: usize = 3072;
-/// What the callback of every transfer shares with [`Streams`].
+/// State that the callbacks of all transfers share with [`Streams`].
 struct Callback {
     sink: Mutex<PacketSink>,
     stopping: AtomicBool,
@@ -98,7 +98,7 @@ impl Drop for Transfer {
     }
 }
 
-/// Raises `in_flight` and submits.
+/// Raises `in_flight` and submits; returns libusb's code.
 fn submit(transfer: NonNull<ffi::libusb_transfer>, callback: &Callback) -> i32 {
     callback.in_flight.fetch_add(1, Ordering::AcqRel);
     // SAFETY: (1) it is valid and not in flight; (3) for its pointers.
@@ -109,7 +109,7 @@ fn submit(transfer: NonNull<ffi::libusb_transfer>, callback: &Callback) -> i32 {
     code
 }
 
-/// Called by libusb when a transfer is over: copies its packets to the ring and submits it again.
+/// Called by libusb when a transfer has completed: copies its packets to the ring and submits it again.
 extern "system" fn completed(transfer: *mut ffi::libusb_transfer) {
     let Some(transfer) = NonNull::new(transfer) else { return };
     let t = transfer.as_ptr();
@@ -131,7 +131,7 @@ extern "system" fn completed(transfer: *mut ffi::libusb_transfer) {
             callback.in_flight.fetch_sub(1, Ordering::AcqRel);
             return;
         }
-        // Unplugged, or the bus gave up: it does not come back.
+        // Unplugged, or refused by the bus: it does not come back.
         dead = true;
     }
     if dead && let Ok(mut sink) = callback.sink.try_lock() {
@@ -250,7 +250,7 @@ impl Drop for Streams {
         }
         if !drained {
             // (1): what libusb or the kernel may still write to is never freed.
-            tracing::error!("USB transfers did not come back; their memory is given up");
+            tracing::error!("USB transfers did not come back; their memory is leaked");
             std::mem::take(&mut self.transfers).into_iter().for_each(std::mem::forget);
             std::mem::forget(Arc::clone(&self.callback));
             std::mem::forget(Arc::clone(&self.camera));
@@ -258,19 +258,19 @@ impl Drop for Streams {
     }
 }
 
-/// Bytes a packet of the endpoint can have. (libusb's own function for it looks at the first alternate setting only.)
+/// Largest packet of the endpoint in bytes. libusb's own function considers the first alternate setting only.
 fn packet_bytes(camera: &Device<Context>, (interface, alternate): (u8, u8), endpoint: u8) -> usize {
-    let said = camera.active_config_descriptor().ok().and_then(|config| {
+    let reported = camera.active_config_descriptor().ok().and_then(|config| {
         let interface = config.interfaces().find(|i| i.number() == interface)?;
         let setting = interface.descriptors().find(|s| s.setting_number() == alternate)?;
         let size = setting.endpoint_descriptors().find(|e| e.address() == endpoint)?.max_packet_size();
         // Bits 12 and 11 count further packets in a microframe.
         Some(usize::from(size & 0x7ff) * (1 + usize::from(size >> 11 & 3)))
     });
-    said.filter(|n| (1..=MAX_PACKET).contains(n)).unwrap_or(MAX_ISO_PACKET)
+    reported.filter(|n| (1..=MAX_PACKET).contains(n)).unwrap_or(MAX_ISO_PACKET)
 }
 
-/// Starts the event thread, at raised priority where that is permitted.
+/// Starts the event thread, at raised priority where permitted.
 fn handle_events(context: Context) -> Result<(JoinHandle<()>, Arc<AtomicBool>), UsbError> {
     let quit = Arc::new(AtomicBool::new(false));
     let seen = Arc::clone(&quit);

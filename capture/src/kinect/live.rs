@@ -1,4 +1,4 @@
-//! A Kinect that streams: packets are taken from the ring, decoded, and handed on; silence is noticed and mended.
+//! A streaming session: takes packets from the ring, decodes them, delivers frames, and restarts silent streams.
 
 use crate::kinect::decoder::{Decoder, DecoderStats};
 use crate::kinect::driver::{Kinect, Led};
@@ -8,36 +8,55 @@ use crate::kinect::transport::UsbError;
 use firmware_config::KinectConfig;
 use recordings::recording::Event;
 use recordings::types::Accelerometer;
+use std::fmt::{Display, Formatter};
 use std::time::Duration;
 
 /// Largest packet of any endpoint.
 const PACKET_BYTES: usize = 3072;
-/// Packets taken before the caller gets a word in: two frames' worth.
+/// Packets per call of [`Live::poll`]: about two frames.
 const BATCH: usize = 800;
-/// Times in a row that silent streams are started anew before the Kinect is given up.
+/// Restarts in a row without a depth frame before the session fails.
 const RESTARTS: u32 = 3;
-/// Longest rest when the ring is empty.
-const REST: Duration = Duration::from_millis(3);
+/// Pause when the ring is empty.
+const EMPTY_PAUSE: Duration = Duration::from_millis(3);
 
-/// What a look at the ring brought.
+/// Outcome of [`Live::poll`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polled {
     /// Packets.
     Some,
     /// Nothing yet.
     Nothing,
-    /// The Kinect is gone, and everything it sent has been handed on.
+    /// The Kinect is unplugged, and everything it sent has been delivered.
     Gone,
+}
+
+/// One of the two streams.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StreamKind {
+    /// Depth.
+    Depth,
+    /// Colour.
+    Color,
+}
+
+impl Display for StreamKind {
+    fn fmt(&self, f: &mut Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Depth => "depth",
+            Self::Color => "colour",
+        })
+    }
 }
 
 /// Counters of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LiveStats {
-    /// Before the assembler.
+    /// Counters before the assembler.
     pub ring: RingStats,
-    /// After it.
+    /// Counters of assembly.
     pub streams: DecoderStats,
-    /// Times the streams were started anew.
+    /// Times the streams were restarted.
     pub restarts: u32,
 }
 
@@ -50,17 +69,17 @@ pub struct Live {
     silence: Duration,
     accelerometer_every: Option<Duration>,
     next_accelerometer: Duration,
-    /// Acceleration that is said before the next frame.
-    unsaid: Option<[f32; 3]>,
-    /// The newest that was said.
+    /// A reading that is delivered before the next frame.
+    pending_acceleration: Option<[f32; 3]>,
+    /// The newest reading that was delivered.
     acceleration: Option<Accelerometer>,
     read_exposure: bool,
     exposure_us: Option<f64>,
-    depth_heard: Duration,
-    color_heard: Duration,
+    depth_seen: Duration,
+    color_seen: Duration,
     restarts_in_a_row: u32,
     restarts: u32,
-    /// Ring counters of streams that were started anew.
+    /// Ring counters before the last restart.
     earlier: RingStats,
 }
 
@@ -72,7 +91,7 @@ impl Live {
     pub fn start(mut kinect: Kinect, config: &KinectConfig) -> Result<Self, KinectError> {
         let accelerometer_every =
             (config.accelerometer_hz > 0).then(|| Duration::from_secs(1) / config.accelerometer_hz);
-        let unsaid = accelerometer_every.and_then(|_| kinect.accelerometer());
+        let pending_acceleration = accelerometer_every.and_then(|_| kinect.accelerometer());
         let source = kinect.start()?;
         let mut decoder = Decoder::default();
         for packet in kinect.traffic() {
@@ -86,12 +105,12 @@ impl Live {
             silence: Duration::from_millis(u64::from(config.silence_ms)),
             accelerometer_every,
             next_accelerometer: accelerometer_every.map_or(now, |every| now + every),
-            unsaid,
+            pending_acceleration,
             acceleration: None,
             read_exposure: config.read_exposure,
             exposure_us: None,
-            depth_heard: now,
-            color_heard: now,
+            depth_seen: now,
+            color_seen: now,
             restarts_in_a_row: 0,
             restarts: 0,
             earlier: RingStats::default(),
@@ -114,53 +133,52 @@ impl Live {
     #[must_use]
     pub fn stats(&self) -> LiveStats {
         let ring = self.source.stats();
-        let add = |a: u64, b: u64| a + b;
         LiveStats {
             ring: RingStats {
-                packets: add(self.earlier.packets, ring.packets),
-                dropped: add(self.earlier.dropped, ring.dropped),
-                bad_status: add(self.earlier.bad_status, ring.bad_status),
+                packets: self.earlier.packets + ring.packets,
+                dropped: self.earlier.dropped + ring.dropped,
+                bad_status: self.earlier.bad_status + ring.bad_status,
             },
             streams: self.decoder.stats(),
             restarts: self.restarts,
         }
     }
 
-    /// True if the device waits for who reads, as only a simulated one does.
+    /// True if the device waits for the reader, as only a simulated one does.
     #[must_use]
     pub fn waits(&self) -> bool {
         self.kinect.waits()
     }
 
-    /// The newest acceleration that was handed on.
+    /// The newest acceleration that was delivered.
     #[must_use]
     pub fn acceleration(&self) -> Option<Accelerometer> {
         self.acceleration
     }
 
-    /// Exposure time by the sensor's register, if it is read at all: a hint.
+    /// Exposure time in microseconds according to the sensor's register, if it is read; not calibrated.
     #[must_use]
     pub fn exposure_us(&self) -> Option<f64> {
         self.exposure_us
     }
 
-    /// True if one stream comes and the other has been silent for long.
+    /// The stream that has been silent for long while the other one comes.
     #[must_use]
-    pub fn silent_stream(&self) -> Option<&'static str> {
+    pub fn silent_stream(&self) -> Option<StreamKind> {
         let now = self.kinect.now();
-        let silent = |heard: Duration| now.saturating_sub(heard) > self.silence;
-        match (silent(self.depth_heard), silent(self.color_heard)) {
-            (true, false) => Some("depth"),
-            (false, true) => Some("colour"),
+        let silent = |seen: Duration| now.saturating_sub(seen) > self.silence;
+        match (silent(self.depth_seen), silent(self.color_seen)) {
+            (true, false) => Some(StreamKind::Depth),
+            (false, true) => Some(StreamKind::Color),
             _ => None,
         }
     }
 
-    /// Takes what is in the ring: `raw` sees every packet as it came, `sink` what becomes of them. Rests a little where
-    /// there is nothing.
+    /// Decodes what is in the ring: `raw` receives every packet unchanged, `sink` the frames and readings. Sleeps [`EMPTY_PAUSE`]
+    /// if the ring is empty.
     ///
     /// # Errors
-    /// The streams stay silent although they were started anew.
+    /// The streams stay silent after [`RESTARTS`] restarts.
     pub fn poll(
         &mut self,
         raw: &mut impl FnMut(Arrived, &[u8]),
@@ -174,12 +192,12 @@ impl Live {
             let data = &self.buffer[..packet.len];
             raw(packet, data);
             let (mut depth, mut color) = (false, false);
-            let (unsaid, said) = (&mut self.unsaid, &mut self.acceleration);
+            let (pending, newest) = (&mut self.pending_acceleration, &mut self.acceleration);
             self.decoder.push(packet.endpoint, packet.host_ns, data, &mut |event| {
-                // Where up is stands before the frames that it is for.
-                if let Some(acceleration) = unsaid.take() {
+                // A reading comes before the frames that it applies to.
+                if let Some(acceleration) = pending.take() {
                     let reading = Accelerometer { timestamp_ns: event.timestamp_ns(), acceleration };
-                    sink(Event::Accelerometer(*said.insert(reading)));
+                    sink(Event::Accelerometer(*newest.insert(reading)));
                 }
                 depth |= matches!(event, Event::Depth(_));
                 color |= matches!(event, Event::Color(_));
@@ -187,10 +205,10 @@ impl Live {
             })?;
             let now = self.kinect.now();
             if depth {
-                (self.depth_heard, self.restarts_in_a_row) = (now, 0);
+                (self.depth_seen, self.restarts_in_a_row) = (now, 0);
             }
             if color {
-                self.color_heard = now;
+                self.color_seen = now;
             }
             taken += 1;
         }
@@ -198,8 +216,8 @@ impl Live {
             self.decoder.end();
             return Ok(Polled::Gone);
         }
-        // Packets that never make a frame are silence, too.
-        if self.kinect.now().saturating_sub(self.depth_heard.max(self.color_heard)) > self.silence {
+        // Packets without frames count as silence.
+        if self.kinect.now().saturating_sub(self.depth_seen.max(self.color_seen)) > self.silence {
             self.restart()?;
             return Ok(Polled::Nothing);
         }
@@ -207,7 +225,7 @@ impl Live {
             self.read_sensors();
             return Ok(Polled::Some);
         }
-        std::thread::sleep(REST);
+        std::thread::sleep(EMPTY_PAUSE);
         Ok(Polled::Nothing)
     }
 
@@ -217,7 +235,7 @@ impl Live {
             && now >= self.next_accelerometer
         {
             self.next_accelerometer = now + every;
-            self.unsaid = self.kinect.accelerometer();
+            self.pending_acceleration = self.kinect.accelerometer();
         }
         if self.read_exposure
             && let Some(us) = self.kinect.exposure_us()
@@ -232,13 +250,13 @@ impl Live {
         if self.restarts_in_a_row > RESTARTS {
             return Err(UsbError::Timeout.into());
         }
-        tracing::warn!("the Kinect is silent; its streams are started anew");
+        tracing::warn!("the Kinect is silent; restarting its streams");
         self.kinect.stop();
         self.decoder.end();
         self.earlier = self.stats().ring;
         self.source = self.kinect.start()?;
         let now = self.kinect.now();
-        (self.depth_heard, self.color_heard) = (now, now);
+        (self.depth_seen, self.color_seen) = (now, now);
         Ok(())
     }
 }

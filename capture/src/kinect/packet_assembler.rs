@@ -1,39 +1,39 @@
-//! From isochronous packets to frames. A frame with a hole is marked, never patched with older bytes, and every packet
-//! that did not come is counted.
+//! Isochronous packets to frames. A frame with missing packets is marked, never filled with older bytes, and every missing
+//! packet is counted.
 
 use firmware_config::kinect_models::{PACKET_HEADER, StreamFormat};
 
 /// A packet at most this many sequence numbers behind is late (or a duplicate), not 256 minus that ahead.
 const LATE_WINDOW: u8 = 32;
 
-/// What came, and what did not, of one stream.
+/// Counters of one stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct PacketStats {
-    /// Packets with a sound header and length.
+    /// Packets with a valid header and length.
     pub packets: u64,
-    /// Packets without bytes: normal, nothing was to be sent.
+    /// Packets without bytes, which are normal.
     pub empty: u64,
-    /// Packets that were no packets: wrong magic, wrong flag.
+    /// Packets with a wrong magic or flag.
     pub garbage: u64,
     /// Packets cut short.
     pub short: u64,
-    /// Packets that came late or twice and were of no more use.
+    /// Packets that arrived too late or twice.
     pub stale: u64,
-    /// Packets before the first frame, or while looking for the next one after the order was lost.
+    /// Packets before the first frame, or after a resync before the next one.
     pub skipped: u64,
-    /// Packets that should have come, by the sequence numbers.
+    /// Packets that are missing according to the sequence numbers.
     pub missing: u64,
-    /// Times the order was lost.
+    /// Times the sequence was lost.
     pub resyncs: u64,
-    /// Frames given out.
+    /// Frames delivered.
     pub frames: u64,
-    /// Those of them with missing packets.
+    /// Of these, frames with missing packets.
     pub incomplete_frames: u64,
-    /// Frames of which nothing came, or whose order was lost.
+    /// Frames that were not delivered: empty, or without a known sequence.
     pub lost_frames: u64,
 }
 
-/// A frame's bytes.
+/// An assembled frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assembled {
     /// [`StreamFormat::frame_bytes`] bytes, 0 where packets are missing.
@@ -80,7 +80,7 @@ struct Header {
 }
 
 impl Assembler {
-    /// Of one stream.
+    /// For one stream.
     #[must_use]
     pub fn new(format: &'static StreamFormat) -> Self {
         Self {
@@ -94,13 +94,13 @@ impl Assembler {
         }
     }
 
-    /// What came so far.
+    /// Counters so far.
     #[must_use]
     pub fn stats(&self) -> PacketStats {
         self.stats
     }
 
-    /// Takes a packet as it came; hands `sink` each frame that ends with it.
+    /// Takes a packet; passes each frame that it completes to `sink`.
     pub fn push(&mut self, packet: &[u8], sink: &mut impl FnMut(Assembled)) {
         if packet.is_empty() {
             self.stats.empty += 1;
@@ -145,12 +145,12 @@ impl Assembler {
         }
     }
 
-    /// Ends the stream: what is there of the last frame is given up and counted.
+    /// Ends the stream: an incomplete last frame is counted as lost.
     pub fn end(&mut self) {
         if self.current.is_some_and(|c| c.received > 0) {
             self.stats.lost_frames += 1;
         }
-        self.forget();
+        self.reset();
         (self.newest, self.newest_ticks) = (None, 0);
     }
 
@@ -168,14 +168,14 @@ impl Assembler {
         Some(Header { place, sequence: h[5], ticks: u32::from_le_bytes([h[8], h[9], h[10], h[11]]) })
     }
 
-    /// True if the time stamp is of a later frame than any before.
+    /// True if the time stamp belongs to a later frame than any before.
     fn is_newer(&self, ticks: u32) -> bool {
         let ahead = ticks.wrapping_sub(self.newest_ticks) as i32;
         ticks != 0 && self.newest_ticks != 0 && ahead > (self.format.period_ticks() / 2) as i32
     }
 
-    /// False if the time stamps say that the packet is not of the `frames`-th frame after the current one. Sequence
-    /// numbers cannot tell a gap from one that is 256 longer.
+    /// False if the time stamps show that the packet is not of the `frames`-th frame after the current one: sequence numbers
+    /// repeat every 256 packets.
     fn is_ahead_by(&self, current: &Current, frames: usize, ticks: u32) -> bool {
         if ticks == 0 || current.ticks == 0 {
             return true;
@@ -194,7 +194,7 @@ impl Assembler {
         self.store(0, header, payload);
     }
 
-    /// The packet is `behind` the newest one: fill its place if that is still open.
+    /// A packet `behind` the newest one fills its place if that is still empty.
     fn take_late(&mut self, header: &Header, behind: usize, payload: &[u8]) {
         let newest = self.current.and_then(|c| c.index);
         let place = newest.and_then(|i| i.checked_sub(behind));
@@ -204,7 +204,7 @@ impl Assembler {
         {
             let missing = self.stats.missing;
             self.store(index, header, payload);
-            // Unless it was short, it is no longer missing.
+            // It is no longer missing, unless it was short.
             if self.stats.missing == missing {
                 self.stats.missing = missing.saturating_sub(1);
             } else {
@@ -216,23 +216,23 @@ impl Assembler {
         }
     }
 
-    /// The order is lost: look for the next first packet, beginning with this one. The frame so far is given out only
-    /// if it came without a gap up to where a new one starts; otherwise its packets' places are in doubt.
+    /// Waits for the next first packet, beginning with this one, after the sequence was lost. The current frame is delivered
+    /// only if it had no gap before a new one starts; otherwise the places of its packets are uncertain.
     fn resync(&mut self, header: &Header, lost: usize, payload: &[u8], sink: &mut impl FnMut(Assembled)) {
         self.stats.resyncs += 1;
-        let (came, received) = self.current.map_or((0, 0), |c| (c.index.map_or(0, |i| i + 1), c.received));
-        if header.place == Place::First && lost > 0 && came > 0 && came == received {
-            self.stats.missing += (self.format.packets() - came) as u64;
+        let (arrived, received) = self.current.map_or((0, 0), |c| (c.index.map_or(0, |i| i + 1), c.received));
+        if header.place == Place::First && lost > 0 && arrived > 0 && arrived == received {
+            self.stats.missing += (self.format.packets() - arrived) as u64;
             self.finish(sink);
         } else {
             self.stats.missing += lost as u64;
             self.stats.lost_frames += u64::from(received > 0);
         }
-        self.forget();
+        self.reset();
         self.wait_for_first(header, payload);
     }
 
-    fn forget(&mut self) {
+    fn reset(&mut self) {
         self.received.fill(false);
         self.bytes.fill(0);
         self.current = None;
@@ -260,10 +260,10 @@ impl Assembler {
         }
     }
 
-    /// Gives the frame out, unless nothing of use came of it, and makes room for the next.
+    /// Delivers the frame, unless it is empty, and prepares for the next.
     fn finish(&mut self, sink: &mut impl FnMut(Assembled)) {
         let Some(current) = self.current.replace(Current::default()) else { return };
-        // The first packet says no time: alone it is worth nothing.
+        // The first packet has no time stamp, so it is useless alone.
         if current.received == 0 || (current.received == 1 && current.ticks == 0 && self.format.packets() > 1) {
             self.stats.lost_frames += 1;
             self.received.fill(false);
@@ -327,7 +327,7 @@ mod tests {
         (frames, assembler.stats())
     }
 
-    /// Every frame's bytes are that frame's, or 0 where a packet is said to be missing: never stale, never shifted.
+    /// Every byte is the frame's own, or 0 where a packet is listed as missing: never stale, never shifted.
     fn check_honest(format: &StreamFormat, frames: &[Assembled]) {
         for f in frames {
             let number = f.ticks.wrapping_sub(ticks_of(format, 0)) / format.period_ticks();
@@ -435,12 +435,12 @@ mod tests {
             let packets = stream(&DEPTH_11, 5, 77);
             let mut keep = vec![true; packets.len()];
             for (at, len) in losses {
-                // The very first packet and the very last are kept, so that both ends of the stream are known.
+                // The first packet and the last are kept, so that both ends of the stream are known.
                 for k in keep.iter_mut().take(packets.len() - 1).skip(at.max(1)).take(len) {
                     *k = false;
                 }
             }
-            // A run of 256 or more is another matter.
+            // Longer runs exceed the sequence numbers.
             prop_assume!(keep.split(|k| *k).all(|run| run.len() < 200));
             let sent: Vec<_> = packets.iter().zip(&keep).filter(|(_, k)| **k).map(|(p, _)| p.clone()).collect();
             let (frames, stats) = assemble(&DEPTH_11, &sent);

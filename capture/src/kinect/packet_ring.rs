@@ -10,7 +10,7 @@ pub const RING_BYTES: usize = 4 << 20;
 /// Bytes before each packet in the ring: endpoint, reserved, length, host time.
 const RECORD_HEADER: usize = 12;
 
-/// Counters of what happens before the assembler.
+/// Counters that both ends share.
 #[derive(Debug, Default)]
 struct RingCounters {
     packets: AtomicU64,
@@ -19,10 +19,10 @@ struct RingCounters {
     gone: AtomicBool,
 }
 
-/// What happened before the assembler.
+/// Counters of the ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RingStats {
-    /// Packets that went through.
+    /// Packets stored in the ring.
     pub packets: u64,
     /// Packets dropped because the ring was full.
     pub dropped: u64,
@@ -30,19 +30,19 @@ pub struct RingStats {
     pub bad_status: u64,
 }
 
-/// Where the USB callback puts packets: it copies and returns, it never waits.
+/// The end of the USB callback: copies packets in and never waits.
 pub struct PacketSink {
     ring: ringbuf::HeapProd<u8>,
     counters: Arc<RingCounters>,
 }
 
-/// Where the assembler takes them.
+/// The end of the assembler.
 pub struct PacketSource {
     ring: ringbuf::HeapCons<u8>,
     counters: Arc<RingCounters>,
 }
 
-/// A packet as it comes out of the ring.
+/// Head of a packet from the ring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrived {
     /// Endpoint address.
@@ -62,7 +62,7 @@ pub fn packet_ring(bytes: usize) -> (PacketSink, PacketSource) {
 }
 
 impl PacketSink {
-    /// Copies a packet in; drops and counts it if there is no room.
+    /// Copies a packet in; drops and counts it if the ring is full.
     pub fn push(&mut self, endpoint: u8, host_ns: i64, data: &[u8]) {
         let Ok(len) = u16::try_from(data.len()) else {
             self.bad_status();
@@ -86,13 +86,13 @@ impl PacketSink {
         self.counters.bad_status.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// True if `bytes` more of packets fit for sure, each of at most 3072 bytes.
+    /// True if that many packets with `bytes` bytes in total fit.
     #[must_use]
     pub fn has_room(&self, packets: usize, bytes: usize) -> bool {
         self.ring.vacant_len() >= packets * RECORD_HEADER + bytes
     }
 
-    /// Says that nothing more will come: unplugged, or the stream died.
+    /// Marks the end of the stream: unplugged or failed.
     pub fn set_gone(&mut self) {
         self.counters.gone.store(true, Ordering::Release);
     }
@@ -119,18 +119,18 @@ impl PacketSource {
         Some(Arrived { endpoint: header[0], len: taken, host_ns: i64::from_le_bytes(time) })
     }
 
-    /// Forgets what came so far, if it was more than the ring holds, so that what is taken begins without a hole.
-    pub fn begin_anew_if_full(&mut self) {
+    /// Discards the contents if packets were dropped, so that the stream begins without a gap.
+    pub fn discard_if_overflowed(&mut self) {
         if self.counters.dropped.load(Ordering::Relaxed) == 0 {
             return;
         }
-        // What comes meanwhile is taken; the counters begin where the ring is empty.
+        // Includes packets that arrive meanwhile; the counters start from the empty ring.
         while self.pop(&mut []).is_some() {}
         self.counters.dropped.store(0, Ordering::Relaxed);
         self.counters.packets.store(0, Ordering::Relaxed);
     }
 
-    /// True once nothing more will come; what is in the ring can still be taken.
+    /// True after the end of the stream; the ring may still hold packets.
     #[must_use]
     pub fn gone(&self) -> bool {
         self.counters.gone.load(Ordering::Acquire)
@@ -173,10 +173,10 @@ mod tests {
     fn a_ring_that_ran_full_before_it_was_read_begins_anew() {
         let (mut sink, mut source) = packet_ring(4096);
         sink.push(0x81, 1, &[7; 1000]);
-        source.begin_anew_if_full();
+        source.discard_if_overflowed();
         assert_eq!(source.stats().packets, 1, "nothing was lost");
         (0..10).for_each(|_| sink.push(0x81, 1, &[7; 1000]));
-        source.begin_anew_if_full();
+        source.discard_if_overflowed();
         sink.push(0x82, 2, &[8; 10]);
         assert_eq!(source.stats(), RingStats { packets: 1, dropped: 0, bad_status: 0 });
         assert_eq!(source.pop(&mut [0; 64]), Some(Arrived { endpoint: 0x82, len: 10, host_ns: 2 }));

@@ -1,4 +1,4 @@
-//! The camera's command protocol over the control endpoint, and what its replies hold.
+//! The camera's command protocol over the control endpoint, and the contents of its replies.
 
 use crate::kinect::calibration::{Calibration, Registration, ZeroPlane};
 use crate::kinect::transport::{Setup, Transport, UsbError};
@@ -10,13 +10,13 @@ use std::time::Duration;
 pub const HEADER: usize = 8;
 /// Bytes asked for in a reply; a reply of exactly this length means "not ready", as one of length 0 does.
 pub const REPLY_BYTES: usize = 0x200;
-/// Magic of what goes out.
+/// Magic of commands.
 pub const MAGIC_OUT: [u8; 2] = *b"GM";
-/// Magic of what comes in.
+/// Magic of replies.
 pub const MAGIC_IN: [u8; 2] = *b"RB";
-/// Endpoint under which commands stand in a recording of packets.
+/// Endpoint that marks commands in a recording of packets.
 pub const CONTROL_OUT: u8 = 0x00;
-/// Endpoint under which replies stand there.
+/// Endpoint that marks replies there.
 pub const CONTROL_IN: u8 = 0x80;
 
 /// Reads a register.
@@ -37,14 +37,14 @@ pub const PADDING: u16 = 0x41;
 /// Algorithm parameters: constant shift.
 pub const CONST_SHIFT: u16 = 0x00;
 
-/// Times a command is sent before it is given up.
+/// Attempts at each command.
 const ATTEMPTS: u32 = 3;
-/// Replies that are not ours before a command is sent again.
+/// Replies to other commands before a command is sent again.
 const MAX_STALE: u32 = 64;
-/// Between two attempts: a plug that is being pulled shows as failed transfers first.
-const REST: Duration = Duration::from_millis(50);
-/// Between two looks for a reply.
-const POLL: Duration = Duration::from_millis(1);
+/// Pause between two attempts: a Kinect that is being unplugged shows as failed transfers first.
+const RETRY_PAUSE: Duration = Duration::from_millis(50);
+/// Pause between two requests for a reply.
+const REPLY_POLL: Duration = Duration::from_millis(1);
 
 /// Why the Kinect cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -52,7 +52,7 @@ pub enum KinectError {
     /// The transfer failed.
     #[error(transparent)]
     Usb(#[from] UsbError),
-    /// It answers, but not as a Kinect does.
+    /// Its replies violate the protocol.
     #[error("command {command:#04x}: {problem}; unplug the Kinect and plug it in again")]
     Protocol {
         /// The command.
@@ -60,13 +60,13 @@ pub enum KinectError {
         /// What was wrong.
         problem: String,
     },
-    /// Its geometry makes no sense.
-    #[error("the Kinect's calibration makes no sense ({0}); unplug it and plug it in again")]
+    /// Its calibration is missing or implausible.
+    #[error("the Kinect's calibration is invalid ({0}); unplug it and plug it in again")]
     Calibration(String),
 }
 
 impl KinectError {
-    /// True if there is no device, or no longer.
+    /// True if the device is not, or no longer, plugged in.
     #[must_use]
     pub fn is_gone(&self) -> bool {
         *self == Self::Usb(UsbError::NoDevice)
@@ -78,18 +78,18 @@ impl KinectError {
 pub struct Commands {
     tag: u16,
     limit: Duration,
-    /// Commands and replies that say how the streams are to be read, for a recording of packets.
+    /// Commands and replies that define the streams, for a recording of packets.
     traffic: Vec<UsbPacket>,
 }
 
 impl Commands {
-    /// Waits at most `limit` for each reply. Tags start at `first_tag`: anything, best not what an earlier session had.
+    /// Waits at most `limit` for each reply. Tags start at `first_tag`, which should differ from an earlier session's.
     #[must_use]
     pub fn new(limit: Duration, first_tag: u16) -> Self {
         Self { tag: first_tag, limit, traffic: Vec::new() }
     }
 
-    /// Commands and replies so far that say how the streams are to be read.
+    /// Commands and replies so far that define the streams.
     #[must_use]
     pub fn traffic(&self) -> &[UsbPacket] {
         &self.traffic
@@ -98,14 +98,14 @@ impl Commands {
     /// Sends a command and returns the payload of its reply.
     ///
     /// # Errors
-    /// No such device, no reply in time, or a reply that is none.
+    /// Unplugged, no reply in time, or an invalid reply.
     pub fn send(&mut self, usb: &mut dyn Transport, command: u16, payload: &[u16]) -> Result<Vec<u8>, KinectError> {
         let mut attempt = 1;
         loop {
             match self.send_once(usb, command, payload, self.limit) {
                 Err(e) if !e.is_gone() && attempt < ATTEMPTS => {
                     tracing::debug!("{e}");
-                    usb.pause(REST);
+                    usb.pause(RETRY_PAUSE);
                 }
                 outcome => return outcome,
             }
@@ -131,7 +131,7 @@ impl Commands {
         Ok(payload)
     }
 
-    /// Waits for the reply to the newest tag; what is left of earlier commands, or of an earlier session, is read away.
+    /// Waits for the reply to the newest tag; skips replies to earlier commands and sessions.
     fn reply(&self, usb: &mut dyn Transport, command: u16, limit: Duration) -> Result<Vec<u8>, KinectError> {
         let deadline = usb.now() + limit;
         let mut buffer = [0u8; REPLY_BYTES];
@@ -153,7 +153,7 @@ impl Commands {
                     None => UsbError::Timeout.into(),
                 });
             }
-            usb.pause(POLL);
+            usb.pause(REPLY_POLL);
         }
     }
 
@@ -165,7 +165,7 @@ impl Commands {
         self.send(usb, WRITE_REGISTER, &[register, value]).map(|_| ())
     }
 
-    /// Reads a register of the RGB sensor: one attempt of at most about `limit`, for use while packets wait to be taken.
+    /// Reads a register of the RGB sensor: one attempt of at most about `limit`, for use while streaming.
     ///
     /// # Errors
     /// As [`Commands::send`].
@@ -177,7 +177,7 @@ impl Commands {
     /// Reads the device's calibration, in the order that is known to work.
     ///
     /// # Errors
-    /// As [`Commands::send`]; calibration that makes no sense.
+    /// As [`Commands::send`]; an implausible calibration.
     pub fn read_calibration(&mut self, usb: &mut dyn Transport) -> Result<Calibration, KinectError> {
         const VGA: u16 = 1;
         const FPS: u16 = 30;
@@ -185,21 +185,21 @@ impl Commands {
         self.send(usb, FIXED_PARAMETERS, &[0; 5])?;
         self.send(usb, ALGORITHM, &[REGISTRATION, 0, VGA, FPS, 0])?;
         self.send(usb, ALGORITHM, &[CONST_SHIFT, 0, VGA, FPS, 0])?;
-        let mut said = Said::default();
-        self.traffic.iter().for_each(|p| said.hear(p.endpoint, &p.data));
-        said.calibration()
+        let mut parameters = StreamParameters::default();
+        self.traffic.iter().for_each(|p| parameters.observe(p.endpoint, &p.data));
+        parameters.calibration()
     }
 
     fn keep(&mut self, endpoint: u8, data: Vec<u8>) {
         let command = word(&data, 2);
-        // Register writes say which formats were asked for. An accelerometer or exposure reading says nothing of streams.
+        // Register writes select the formats. Exposure readings do not concern the streams.
         if matches!(command, Some(WRITE_REGISTER | FIXED_PARAMETERS | ALGORITHM)) && self.traffic.len() < 256 {
             self.traffic.push(UsbPacket { timestamp_ns: 0, endpoint, data });
         }
     }
 }
 
-/// A command or reply as it stands on the wire.
+/// Bytes of a command or reply.
 #[must_use]
 pub fn message(magic: [u8; 2], command: u16, tag: u16, payload: &[u16]) -> Vec<u8> {
     let mut bytes = magic.to_vec();
@@ -216,15 +216,15 @@ pub fn word(bytes: &[u8], index: usize) -> Option<u16> {
 }
 
 fn check(reply: &[u8], command: u16, tag: u16) -> Result<(), String> {
-    let [Some(words), Some(said_command), Some(said_tag)] = [1, 2, 3].map(|i| word(reply, i)) else {
+    let [Some(words), Some(reply_command), Some(reply_tag)] = [1, 2, 3].map(|i| word(reply, i)) else {
         return Err(format!("its reply has {} bytes, too few for a header", reply.len()));
     };
     if reply[..2] != MAGIC_IN {
         Err(format!("its reply starts with {:02x} {:02x}", reply[0], reply[1]))
-    } else if (said_command, said_tag) != (command, tag) {
-        Err(format!("the reply is to command {said_command:#04x} tag {said_tag}, asked was tag {tag}"))
+    } else if (reply_command, reply_tag) != (command, tag) {
+        Err(format!("the reply is to command {reply_command:#04x} tag {reply_tag}, expected was tag {tag}"))
     } else if HEADER + 2 * usize::from(words) != reply.len() {
-        Err(format!("its reply says {words} words and has {} bytes", reply.len() - HEADER))
+        Err(format!("its reply announces {words} words and has {} bytes", reply.len() - HEADER))
     } else {
         Ok(())
     }
@@ -234,11 +234,11 @@ fn too_short(command: u16, reply: &[u8]) -> KinectError {
     KinectError::Protocol { command, problem: format!("its reply has only {} bytes", reply.len()) }
 }
 
-/// What commands and replies say about how to read the streams: of the device that is open, or of a recording.
+/// Formats and calibration of the streams, collected from commands and replies of a device or a recording.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Said {
-    /// The last algorithm parameter asked for.
-    asked: Option<u16>,
+pub struct StreamParameters {
+    /// The algorithm parameter of the last command.
+    requested: Option<u16>,
     geometry: Option<[f32; 4]>,
     registration: Option<Registration>,
     start_lines: Option<u16>,
@@ -249,19 +249,19 @@ pub struct Said {
     color_resolution: Option<u16>,
 }
 
-impl Said {
+impl StreamParameters {
     /// Takes a message.
-    pub fn hear(&mut self, endpoint: u8, data: &[u8]) {
+    pub fn observe(&mut self, endpoint: u8, data: &[u8]) {
         let (Some(command), Some(payload)) = (word(data, 2), data.get(HEADER..)) else { return };
         match (endpoint, command) {
-            (CONTROL_OUT, ALGORITHM) => self.asked = word(payload, 0),
+            (CONTROL_OUT, ALGORITHM) => self.requested = word(payload, 0),
             (CONTROL_OUT, WRITE_REGISTER) => match (word(payload, 0), word(payload, 1)) {
                 (Some(0x12), value) => self.depth_format = value,
                 (Some(0x0d), value) => self.color_resolution = value,
                 _ => {}
             },
             (CONTROL_IN, FIXED_PARAMETERS) => self.geometry = geometry(payload),
-            (CONTROL_IN, ALGORITHM) => match self.asked.take() {
+            (CONTROL_IN, ALGORITHM) => match self.requested.take() {
                 Some(REGISTRATION) => self.registration = Registration::from_reply(payload),
                 Some(PADDING) => self.start_lines = word(payload, 1),
                 Some(CONST_SHIFT) => self.const_shift = word(payload, 1),
@@ -286,7 +286,7 @@ impl Said {
     /// The calibration.
     ///
     /// # Errors
-    /// A part was never said, or it makes no sense.
+    /// A part is missing or implausible.
     pub fn calibration(&self) -> Result<Calibration, KinectError> {
         let missing = |what: &str| KinectError::Calibration(format!("{what} is missing"));
         let [emitter_cm, _, distance, pixel_size] = self.geometry.ok_or_else(|| missing("the geometry"))?;

@@ -34,7 +34,7 @@ pub fn depth_table(calibration: &Calibration, format: &StreamFormat) -> Vec<(u16
     mm.iter().map(|&mm| (mm, shift[usize::from(mm)])).collect()
 }
 
-/// Depth in millimetres of each raw value: negative behind the formula's pole.
+/// `[raw]` → depth in millimetres; negative beyond the pole of the formula.
 fn raw_to_mm(plane: &ZeroPlane) -> Vec<f64> {
     let (emitter, distance) = (f64::from(plane.emitter_cm), f64::from(plane.distance));
     (0..RAW_VALUES)
@@ -46,7 +46,7 @@ fn raw_to_mm(plane: &ZeroPlane) -> Vec<f64> {
         .collect()
 }
 
-/// Horizontal shift in 1/256 pixel between the cameras at each depth in millimetres.
+/// `[mm]` → horizontal shift between the cameras in 1/256 pixel.
 fn shift_table(plane: &ZeroPlane) -> Vec<i32> {
     let per_mm = 1.0 / (f64::from(plane.pixel_size) * 2.0 * 10.0);
     let baseline = f64::from(COLOR_BASELINE_CM) * per_mm * 10.0;
@@ -171,7 +171,7 @@ pub(crate) mod tests {
             let words: Vec<&str> = line.split_whitespace().collect();
             let n: Vec<i64> = words[1..].iter().map(|w| w.parse().unwrap()).collect();
             match words[0] {
-                // libfreenect stores 16 bits; the last value is none.
+                // libfreenect stores 16 bits; the last value means no depth.
                 "mm" if n[0] == 2047 => assert_eq!(n[1], 0),
                 "mm" => assert_eq!(i64::from(mm[n[0] as usize] as i64 as u16), n[1], "{line}"),
                 "shift" => assert_eq!(i64::from(shift[n[0] as usize]), n[1], "{line}"),

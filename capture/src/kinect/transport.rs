@@ -7,36 +7,59 @@ use std::time::Duration;
 
 /// What went wrong below the boundary, by what the caller can do about it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}; {}", self.problem(), self.remedy())]
 pub enum UsbError {
     /// There is no such device, or no longer.
-    #[error("no Kinect is plugged in; plug one in, and its power supply")]
     NoDevice,
-    /// Only the motor shows, which lives on USB power alone.
-    #[error("only the Kinect's motor shows on USB: its 12 V power supply is missing; plug it in")]
+    /// Only the motor, which runs on USB power, is there.
     NoPower,
     /// A Kinect V2 is plugged in, and no other.
-    #[error("this is a Kinect V2, which is not supported; plug in a Kinect V1")]
     KinectV2,
     /// The system does not let this user open it.
-    #[error(
-        "the Kinect may not be opened by this user; install the udev rule and join group `lumiscan` (see capture/README.md)"
-    )]
     Access,
     /// Another program holds it.
-    #[error("another program uses the Kinect; end it")]
     Busy,
     /// No answer in time.
-    #[error("the Kinect did not answer in time; unplug it and plug it in again")]
     Timeout,
     /// The bus has no room for its streams.
-    #[error(
-        "the kernel takes no stream of the Kinect: no bandwidth is left, or no memory for transfers; give it a USB 2 \
-         controller of its own, and look what `lumiscan check` says of the usbfs memory"
-    )]
     Bandwidth,
     /// Anything else.
-    #[error("USB: {0}; unplug the Kinect and plug it in again")]
     Other(String),
+}
+
+impl UsbError {
+    /// What is wrong.
+    #[must_use]
+    pub fn problem(&self) -> String {
+        match self {
+            Self::NoDevice => "no Kinect is plugged in".into(),
+            Self::NoPower => "only the Kinect's motor shows on USB: its 12 V power supply is missing".into(),
+            Self::KinectV2 => "this is a Kinect V2, which is not supported".into(),
+            Self::Access => "this user may not open the Kinect".into(),
+            Self::Busy => "another program uses the Kinect".into(),
+            Self::Timeout => "the Kinect did not answer in time".into(),
+            Self::Bandwidth => {
+                "the kernel refuses the Kinect's streams: no bandwidth or no transfer memory is left".into()
+            }
+            Self::Other(detail) => format!("USB: {detail}"),
+        }
+    }
+
+    /// What to do about it.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::NoDevice => "plug one in, and its power supply",
+            Self::NoPower => "plug it in",
+            Self::KinectV2 => "plug in a Kinect V1",
+            Self::Access => "install the udev rule and join group `lumiscan` (see capture/README.md)",
+            Self::Busy => "end it",
+            Self::Timeout | Self::Other(_) => "unplug the Kinect and plug it in again",
+            Self::Bandwidth => {
+                "give it a USB 2 controller of its own, and check the usbfs memory with `lumiscan check`"
+            }
+        }
+    }
 }
 
 /// A Kinect that is plugged in.
@@ -56,20 +79,19 @@ pub struct Found {
     pub accessible: bool,
 }
 
-/// Where devices are found.
+/// A set of buses with devices.
 pub trait Bus: Send {
     /// Every Kinect V1 camera that is plugged in.
     ///
     /// # Errors
-    /// The USB stack fails (that there is none counts as an empty list), or something like a Kinect is there, but none
-    /// that can be used.
+    /// The USB stack fails (its absence gives an empty list), or only an unusable Kinect is there.
     fn list(&mut self) -> Result<Vec<Found>, UsbError>;
-    /// True while this one is plugged in; nothing is opened for it.
+    /// True while this one is plugged in; opens nothing.
     fn is_here(&mut self, found: &Found) -> bool;
     /// Opens one of them.
     ///
     /// # Errors
-    /// It is gone, held by another program, or not permitted.
+    /// It is gone, in use by another program, or access is denied.
     fn open(&mut self, found: &Found) -> Result<Box<dyn Transport>, UsbError>;
 }
 
@@ -91,7 +113,7 @@ pub trait Transport: Send {
     /// Vendor control transfer to a part.
     ///
     /// # Errors
-    /// As USB has them; [`UsbError::NoDevice`] where the Kinect has no such part.
+    /// Any [`UsbError`]; `NoDevice` where the Kinect has no such part.
     fn control_out(&mut self, setup: Setup, data: &[u8]) -> Result<(), UsbError>;
     /// Vendor control transfer from a part; returns the bytes read.
     ///
@@ -113,17 +135,17 @@ pub trait Transport: Send {
     /// # Errors
     /// As [`Transport::control_out`].
     fn select_alternate(&mut self, setting: u8) -> Result<(), UsbError>;
-    /// Submits the isochronous transfers of the endpoints; what comes goes to `sink`.
+    /// Submits the isochronous transfers of the endpoints, whose packets go to `sink`.
     ///
     /// # Errors
     /// No bandwidth, or unplugged; nothing is in flight then.
     fn start(&mut self, endpoints: &[u8], sink: PacketSink) -> Result<(), UsbError>;
     /// Cancels the transfers and waits until none is in flight.
     fn stop(&mut self);
-    /// True if the streams wait for who reads: only simulated ones can.
+    /// True if the streams wait for the reader, which only simulated ones can.
     fn waits(&self) -> bool;
-    /// Time on the clock that limits are measured with.
+    /// Time on the clock that timeouts use.
     fn now(&self) -> Duration;
-    /// Lets that clock go on.
+    /// Lets that clock advance.
     fn pause(&mut self, time: Duration);
 }

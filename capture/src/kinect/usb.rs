@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Interface of every part.
 const INTERFACE: u8 = 0;
-/// Interfaces of an audio device that has firmware; with one it is a boot loader that would take commands for pages.
+/// Interfaces of an audio device with firmware; with fewer it is a boot loader, which would take commands for firmware pages.
 const AUDIO_INTERFACES: u8 = 2;
 /// Longest wait for a string descriptor.
 const STRING_LIMIT: Duration = Duration::from_millis(500);
@@ -22,7 +22,7 @@ pub struct UsbBus {
 }
 
 impl UsbBus {
-    /// A machine without USB fails here, and may have some later.
+    /// `None` on a machine without USB; tried again at the next call.
     fn context(&mut self) -> Option<&Context> {
         if self.context.is_none() {
             self.context = Context::new().inspect_err(|e| tracing::debug!("libusb: {e}")).ok();
@@ -46,7 +46,7 @@ impl Bus for UsbBus {
         let mut parts = self.parts();
         let has = |parts: &[(Part, Device<Context>)], part| parts.iter().any(|(p, _)| *p == part);
         if !has(&parts, Part::Camera) {
-            // News of plugging may not reach us (containers): a new context looks for itself.
+            // Hotplug events may not arrive (containers); a new context enumerates again.
             self.context = None;
             parts = self.parts();
         }
@@ -68,14 +68,14 @@ impl Bus for UsbBus {
         let parts = self.parts();
         let is_it = |d: &Device<Context>| (d.bus_number(), d.address()) == (found.bus, found.address);
         let (_, device) = parts.iter().find(|(p, d)| *p == Part::Camera && is_it(d)).ok_or(UsbError::NoDevice)?;
-        let camera = claimed(device)?;
+        let camera = claim(device)?;
         let usable = |part: Part, d: &Device<Context>| {
             part != Part::Audio || d.active_config_descriptor().is_ok_and(|c| c.num_interfaces() >= AUDIO_INTERFACES)
         };
-        let courtesy =
-            |part: Part| sibling(device, &parts, part).filter(|d| usable(part, d)).and_then(|d| claimed(d).ok());
+        let auxiliary =
+            |part: Part| sibling(device, &parts, part).filter(|d| usable(part, d)).and_then(|d| claim(d).ok());
         let (motor, audio) =
-            if found.model == Model::K1414 { (courtesy(Part::Motor), None) } else { (None, courtesy(Part::Audio)) };
+            if found.model == Model::K1414 { (auxiliary(Part::Motor), None) } else { (None, auxiliary(Part::Audio)) };
         Ok(Box::new(UsbKinect {
             camera: Arc::new(camera),
             motor,
@@ -94,7 +94,7 @@ fn found(camera: &Device<Context>, parts: &[(Part, Device<Context>)]) -> Option<
     let model = Model::of_camera(descriptor.product_id(), release)?;
     let opened = camera.open();
     let own = opened.as_ref().ok().and_then(|h| serial_of(camera, h));
-    // Later models' cameras all read zeros: the audio device has the number.
+    // Cameras of later models report zeros; their audio device has the number.
     let serial = own.filter(|s| s.bytes().any(|b| b != b'0')).or_else(|| {
         let audio = sibling(camera, parts, Part::Audio)?;
         serial_of(audio, &audio.open().ok()?)
@@ -118,7 +118,7 @@ fn serial_of(device: &Device<Context>, handle: &DeviceHandle<Context>) -> Option
     Some(text.chars().filter(char::is_ascii_graphic).take(64).collect())
 }
 
-/// Another part of the same Kinect: below the same hub; or else on the same bus, or on any, if it is the only one.
+/// Another part of the same Kinect: the one below the same hub, else the only one on the same bus, else the only one.
 fn sibling<'a>(
     camera: &Device<Context>,
     parts: &'a [(Part, Device<Context>)],
@@ -137,10 +137,10 @@ fn sibling<'a>(
     below_same_hub.or_else(|| only(&on_bus)).or_else(|| only(&all))
 }
 
-/// Opens a part; the kernel's driver is detached, and attached again when it is released.
-fn claimed(device: &Device<Context>) -> Result<DeviceHandle<Context>, UsbError> {
+/// Opens a part and claims its interface; detaches the kernel's driver until the handle is dropped.
+fn claim(device: &Device<Context>) -> Result<DeviceHandle<Context>, UsbError> {
     let handle = device.open().map_err(from_rusb)?;
-    // Not every system can.
+    // Not supported on every system.
     let _ = handle.set_auto_detach_kernel_driver(true);
     handle.claim_interface(INTERFACE).map_err(from_rusb)?;
     Ok(handle)

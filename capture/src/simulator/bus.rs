@@ -20,13 +20,13 @@ pub struct SimBus {
 }
 
 impl SimBus {
-    /// With a device that follows the plan.
+    /// A bus with a device that follows the plan.
     #[must_use]
     pub fn new(plan: SimPlan) -> Self {
         Self { shared: Arc::new(Shared::new(plan.fast)), plan: Arc::new(plan) }
     }
 
-    /// What the device saw and did so far.
+    /// The device's log so far.
     #[cfg(test)]
     #[must_use]
     pub fn log(&self) -> SimLog {

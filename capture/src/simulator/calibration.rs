@@ -3,16 +3,17 @@
 use crate::kinect::calibration::{Calibration, REGISTRATION_VALUES, Registration, ZeroPlane};
 use firmware_config::kinect_models::Model;
 
-/// A typical unit.
+/// Geometry of a typical unit.
 pub const PLANE: ZeroPlane = ZeroPlane { emitter_cm: 7.5, distance: 120.0, pixel_size: 0.1042, const_shift: 200 };
 
-/// What it says of its own geometry.
+/// The calibration that it reports.
+#[must_use]
 pub fn calibration() -> Calibration {
     Calibration { zero_plane: PLANE, registration: Registration::from_words(REGISTRATION_WORDS), start_lines: 0 }
 }
 
-/// Moves every pixel back by the one that the tables are ahead, so that only the shift by depth is left: what the
-/// colour camera shall see can be put into the depth camera exactly.
+/// The tables add one pixel, which this block subtracts, so that only the shift by depth remains: a depth image of the colour
+/// camera can be encoded exactly.
 pub const REGISTRATION_WORDS: [i32; REGISTRATION_VALUES] = {
     let mut words = [0; REGISTRATION_VALUES];
     words[5] = -256;

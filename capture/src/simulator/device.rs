@@ -1,5 +1,5 @@
-//! The simulated Kinect, opened: commands, registers, LED and accelerometer. It is strict: what a real one would not
-//! understand is written in its log.
+//! The opened simulated Kinect: commands, registers, LED and accelerometer. Input that a real Kinect would not accept is
+//! logged as a violation.
 
 use crate::kinect::packet_ring::PacketSink;
 use crate::kinect::protocol;
@@ -38,7 +38,7 @@ pub struct SimKinect {
 }
 
 impl SimKinect {
-    /// A session that follows `plan`.
+    /// A session that follows the plan.
     #[must_use]
     pub fn new(plan: SimPlan, shared: Arc<Shared>) -> Self {
         let stale = |tag| protocol::message(protocol::MAGIC_IN, protocol::WRITE_REGISTER, tag as u16, &[0]);
@@ -54,11 +54,11 @@ impl SimKinect {
         }
     }
 
-    fn complain(&self, text: String) {
-        lock(&self.shared.log).complaints.push(text);
+    fn violation(&self, text: String) {
+        lock(&self.shared.log).violations.push(text);
     }
 
-    /// Every control transfer comes through here.
+    /// Counts a control transfer; the plan may unplug the device at it.
     fn control(&mut self) -> Result<(), UsbError> {
         self.controls += 1;
         if self.plan.unplug_at_control == Some(self.controls) {
@@ -70,13 +70,13 @@ impl SimKinect {
     fn command(&mut self, data: &[u8]) {
         let words: Vec<u16> = (0..data.len() / 2).filter_map(|i| protocol::word(data, i)).collect();
         let [_, length, command, tag, payload @ ..] = words.as_slice() else {
-            return self.complain(format!("a command of {} bytes", data.len()));
+            return self.violation(format!("a command of {} bytes", data.len()));
         };
         if data[..2] != protocol::MAGIC_OUT || usize::from(*length) != payload.len() || !data.len().is_multiple_of(2) {
-            return self.complain(format!("malformed command {data:02x?}"));
+            return self.violation(format!("malformed command {data:02x?}"));
         }
         let Some(reply) = self.answer(*command, payload) else {
-            return self.complain(format!("command {command:#x} {payload:x?}"));
+            return self.violation(format!("command {command:#x} {payload:x?}"));
         };
         let magic = if self.plan.bad_magic { *b"XX" } else { protocol::MAGIC_IN };
         let bytes = protocol::message(magic, *command, *tag, &reply);
@@ -117,7 +117,7 @@ impl SimKinect {
             _ => 0,
         };
         if endpoint != 0 && value != 0 && !self.submitted.contains(&endpoint) {
-            self.complain(format!("register {register:#x} = {value} before transfers were submitted"));
+            self.violation(format!("register {register:#x} = {value} before transfers were submitted"));
         }
         lock(&self.shared.log).writes.push((register, value));
         lock(&self.shared.registers).insert(register, value);
@@ -137,7 +137,7 @@ impl SimKinect {
                 self.audio.push_back(state);
                 self.audio.push_back(status(tag));
             }
-            _ => self.complain(format!("audio command {words:x?}")),
+            _ => self.violation(format!("audio command {words:x?}")),
         }
     }
 
@@ -164,7 +164,7 @@ impl Transport for SimKinect {
             (Part::Motor, 0x06) if self.has(part) => lock(&self.shared.log).led = u32::from(value),
             (Part::Motor, _) if !self.has(part) => return Err(UsbError::NoDevice),
             _ => {
-                self.complain(format!("request {request:#x} to {part:?}"));
+                self.violation(format!("request {request:#x} to {part:?}"));
                 return Err(UsbError::Other("stall".into()));
             }
         }
@@ -189,7 +189,7 @@ impl Transport for SimKinect {
                 Ok(n)
             }
             (Part::Motor, 0x32) if self.has(setup.part) => {
-                // At rest and level: 1 g up.
+                // At rest and level: 1 g upwards.
                 let state = [0, 0, 0, 0, 0x03, 0x33, 0, 0, 0, 0];
                 data[..10].copy_from_slice(&state);
                 Ok(10)
@@ -222,10 +222,10 @@ impl Transport for SimKinect {
             return Err(UsbError::NoDevice);
         }
         if self.streamer.is_some() || (self.plan.model == Model::K1517 && !self.alternate) {
-            self.complain("transfers submitted twice, or on the wrong alternate setting".into());
+            self.violation("transfers submitted twice, or on the wrong alternate setting".into());
             return Err(UsbError::Bandwidth);
         }
-        // Formats follow from registers that are written later: decided when the first frame is due.
+        // The formats follow from registers that are written later, so the thread waits for both streams to be switched on.
         let stop = Arc::new(AtomicBool::new(false));
         let seed = self.plan.seed.wrapping_add(u64::from(lock(&self.shared.log).opens) << 32);
         let (plan, shared, stopped) = (Arc::clone(&self.plan), Arc::clone(&self.shared), Arc::clone(&stop));
@@ -247,7 +247,7 @@ impl Transport for SimKinect {
                     let random = Random::new(seed);
                     Streamer { plan, shared, stop: stopped, player, depth, color, sink, random }.run();
                 }
-                Err(e) => lock(&shared.log).complaints.push(e),
+                Err(e) => lock(&shared.log).violations.push(e),
             }
         };
         let thread = std::thread::Builder::new().name("simulated-kinect".into()).spawn(body);
@@ -261,13 +261,13 @@ impl Transport for SimKinect {
         if let Some((thread, stop)) = self.streamer.take() {
             stop.store(true, Ordering::Relaxed);
             if thread.join().is_err() {
-                self.complain("its stream thread panicked".into());
+                self.violation("its stream thread panicked".into());
             }
         }
     }
 
     fn waits(&self) -> bool {
-        self.plan.fast && !self.plan.hasty
+        self.plan.fast && !self.plan.drop_when_slow
     }
 
     fn now(&self) -> Duration {

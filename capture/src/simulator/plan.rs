@@ -1,63 +1,63 @@
-//! What a simulated Kinect plays, and what goes wrong with it.
+//! The plan of a simulated Kinect (`--simulate`): its pictures and its faults.
 
 use firmware_config::kinect_models::Model;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What a simulated Kinect sees.
+/// Pictures of a simulated Kinect.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Scenery {
-    /// Tilted planes that change from frame to frame: cheap, and every frame can be told.
+    /// Tilted planes that differ from frame to frame.
     #[default]
     Pattern,
     /// A recording of frames.
     Recording(PathBuf),
 }
 
-/// What a simulated Kinect does. Probabilities are per packet; everything follows from the seed.
+/// Behaviour of a simulated Kinect. Probabilities are per packet; all faults follow from the seed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimPlan {
-    /// What it sees.
+    /// Its pictures.
     pub scenery: Scenery,
     /// Model.
     pub model: Model,
     /// Seed of every fault.
     pub seed: u64,
-    /// As fast as it goes on a clock of its own, instead of in real time.
+    /// Runs on a simulated clock, as fast as it is read, instead of in real time.
     pub fast: bool,
-    /// Although it is fast, pairs that find fusion busy are dropped as they are in real time.
-    pub hasty: bool,
-    /// Frames of each stream, after which it is silent; 0 = no end.
+    /// With `fast`: pairs are dropped when fusion is busy, as in real time (key `hasty`).
+    pub drop_when_slow: bool,
+    /// Frames of each stream before it falls silent; 0 = unlimited.
     pub frames: u64,
-    /// Frames for which the first picture of a recording stands.
+    /// Frames that repeat the first picture of a recording.
     pub hold: u64,
     /// First time stamp of its 60 MHz clock.
     pub clock_start: u32,
-    /// A packet does not come.
+    /// A packet is lost.
     pub loss: f64,
-    /// A burst of lost packets begins.
+    /// A burst of lost packets starts.
     pub burst: f64,
-    /// Packets of such a burst.
+    /// Packets per burst.
     pub burst_packets: u32,
-    /// A packet changes places with the next.
+    /// A packet is swapped with the next.
     pub reorder: f64,
-    /// A packet is cut short.
+    /// A packet is truncated.
     pub truncate: f64,
     /// A packet's header is overwritten.
     pub garbage: f64,
     /// The host controller flags a packet.
     pub bad_status: f64,
-    /// Both streams fall silent for `stall_frames` frames every so many frames; 0 = never.
+    /// Frames between two silences of both streams; 0 = none.
     pub stall_every: u64,
-    /// Length of such a silence in frames.
+    /// Length of a silence in frames.
     pub stall_frames: u64,
-    /// "Not ready" replies before each reply, by turns of 0 and of 512 bytes.
+    /// "Not ready" replies before each reply, alternately of 0 and 512 bytes.
     pub not_ready: u32,
     /// Replies of an earlier session that are still queued.
     pub stale: u32,
     /// Never answers a command.
     pub dead: bool,
-    /// Says "not ready" for ever.
+    /// Always answers "not ready".
     pub never_ready: bool,
     /// Replies with a wrong magic.
     pub bad_magic: bool,
@@ -67,16 +67,16 @@ pub struct SimPlan {
     pub no_depth: bool,
     /// Has no LED and no accelerometer.
     pub no_motor: bool,
-    /// The plug is pulled at this control transfer of a session.
+    /// Control transfer of a session at which the device is unplugged.
     pub unplug_at_control: Option<u32>,
-    /// The plug is pulled at this frame of a session.
+    /// Frame of a session at which the device is unplugged.
     pub unplug_at_frame: Option<u64>,
-    /// How often that happens.
+    /// Number of times it is unplugged.
     pub unplugs: u32,
-    /// After this time it is plugged in again.
+    /// Time after which it is plugged in again; `None` = never.
     pub replug_ms: Option<u64>,
-    /// All of that happens in the first so many sessions only; 0 = in every one.
-    pub sick_sessions: u32,
+    /// Sessions with faults, from the first; 0 = all (key `sick_sessions`).
+    pub faulty_sessions: u32,
 }
 
 impl Default for SimPlan {
@@ -86,7 +86,7 @@ impl Default for SimPlan {
             model: Model::K1414,
             seed: 1,
             fast: false,
-            hasty: false,
+            drop_when_slow: false,
             frames: 0,
             hold: 0,
             clock_start: 0xfff0_0000,
@@ -111,26 +111,26 @@ impl Default for SimPlan {
             unplug_at_frame: None,
             unplugs: 1,
             replug_ms: None,
-            sick_sessions: 0,
+            faulty_sessions: 0,
         }
     }
 }
 
 impl SimPlan {
-    /// From `pattern` or a recording's path, then `,key=value` or `,flag` as often as wanted.
+    /// Reads `pattern` or the path of a recording, followed by any number of `,key=value` or `,flag`.
     ///
     /// # Errors
-    /// Names the part that is not understood.
+    /// The invalid part.
     pub fn parse(text: &str) -> Result<Self, String> {
         let mut parts = text.split(',');
         let mut plan = Self::default();
         match parts.next().unwrap_or("") {
             "pattern" => {}
-            "" => return Err("say `pattern` or a recording".into()),
+            "" => return Err("give `pattern` or a recording".into()),
             path => plan.scenery = Scenery::Recording(path.into()),
         }
         for part in parts {
-            plan.set(part).ok_or_else(|| format!("`{part}` is not understood"))?;
+            plan.set(part).ok_or_else(|| format!("`{part}` is not a valid fault (capture/README.md lists them)"))?;
         }
         Ok(plan)
     }
@@ -149,7 +149,7 @@ impl SimPlan {
             }
             "seed" => self.seed = value.parse().ok()?,
             "fast" => self.fast = value.parse().ok()?,
-            "hasty" => self.hasty = value.parse().ok()?,
+            "hasty" => self.drop_when_slow = value.parse().ok()?,
             "frames" => self.frames = value.parse().ok()?,
             "hold" => self.hold = value.parse().ok()?,
             "clock_start" => self.clock_start = value.parse().ok()?,
@@ -174,7 +174,7 @@ impl SimPlan {
             "unplug_at_frame" => self.unplug_at_frame = Some(value.parse().ok()?),
             "unplugs" => self.unplugs = value.parse().ok()?,
             "replug_ms" => self.replug_ms = Some(value.parse().ok()?),
-            "sick_sessions" => self.sick_sessions = value.parse().ok()?,
+            "sick_sessions" => self.faulty_sessions = value.parse().ok()?,
             _ => return None,
         }
         Some(())
@@ -183,7 +183,7 @@ impl SimPlan {
     /// The plan of session number `session`, counted from 1.
     #[must_use]
     pub fn of_session(&self, session: u32) -> Self {
-        if self.sick_sessions == 0 || session <= self.sick_sessions {
+        if self.faulty_sessions == 0 || session <= self.faulty_sessions {
             return self.clone();
         }
         Self {
@@ -191,7 +191,7 @@ impl SimPlan {
             model: self.model,
             seed: self.seed,
             fast: self.fast,
-            hasty: self.hasty,
+            drop_when_slow: self.drop_when_slow,
             frames: self.frames,
             hold: self.hold,
             clock_start: self.clock_start,
@@ -199,7 +199,7 @@ impl SimPlan {
         }
     }
 
-    /// Time after which it is plugged in again.
+    /// [`SimPlan::replug_ms`] as a duration.
     #[must_use]
     pub fn replug_after(&self) -> Option<Duration> {
         self.replug_ms.map(Duration::from_millis)

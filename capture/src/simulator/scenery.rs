@@ -11,14 +11,14 @@ use std::sync::Arc;
 /// A frame as it goes over the wire.
 type Bytes = Arc<[u8]>;
 
-/// Pictures of the pattern.
+/// Different pictures of the pattern.
 const PATTERNS: usize = 8;
 /// Nanoseconds between frames.
 const PERIOD_NS: i64 = 33_333_333;
 
 /// Frames by their number.
 pub enum Player {
-    /// Pre-made frames, played in turns: `[picture]` of depth and colour.
+    /// Prepared frames, repeated: `[picture]` of depth and colour.
     Pattern(Vec<(Bytes, Bytes)>),
     /// A recording, decoded as it plays.
     Recording(Box<Playback>),
@@ -29,20 +29,20 @@ pub struct Playback {
     path: PathBuf,
     reader: Option<RecordingReader>,
     encoder: DepthEncoder,
-    /// Millimetres a unit of its depth.
+    /// Millimetres per unit of its depth.
     unit_mm: f64,
     color_format: &'static StreamFormat,
     first_ns: Option<i64>,
     depth: Option<(u64, Bytes)>,
     color: Option<(u64, Bytes)>,
-    /// Frames for which the first picture stands.
+    /// Frames that repeat the first picture.
     hold: u64,
-    /// What stands when all is over.
+    /// The last frames, repeated at the end.
     last: (Option<Bytes>, Option<Bytes>),
 }
 
 impl Player {
-    /// Opens what is to be played.
+    /// Opens the plan's pictures.
     ///
     /// # Errors
     /// The recording cannot be read, or is not of 640×480.
@@ -104,8 +104,8 @@ impl Playback {
     fn frame(&mut self, frame: u64) -> (Option<Bytes>, Option<Bytes>) {
         while (self.depth.is_none() || self.color.is_none()) && self.read_one() {}
         if frame < self.hold {
-            let standing = |slot: &Option<(u64, Bytes)>| slot.as_ref().map(|(_, bytes)| Bytes::clone(bytes));
-            return (standing(&self.depth), standing(&self.color));
+            let first = |slot: &Option<(u64, Bytes)>| slot.as_ref().map(|(_, bytes)| Bytes::clone(bytes));
+            return (first(&self.depth), first(&self.color));
         }
         if self.reader.is_none() && self.depth.is_none() && self.color.is_none() {
             return self.last.clone();
@@ -116,17 +116,17 @@ impl Playback {
             _ => None,
         };
         let now = (take(&mut self.depth), take(&mut self.color));
-        let stays = |last: &mut Option<Bytes>, new: &Option<Bytes>| {
+        let remember = |last: &mut Option<Bytes>, new: &Option<Bytes>| {
             if new.is_some() {
                 last.clone_from(new);
             }
         };
-        stays(&mut self.last.0, &now.0);
-        stays(&mut self.last.1, &now.1);
+        remember(&mut self.last.0, &now.0);
+        remember(&mut self.last.1, &now.1);
         now
     }
 
-    /// Reads an event. Of two frames that fall on one tick of the device's frame clock the later is played.
+    /// Reads an event; false at the end. Of two frames in one period of the device, the later is played.
     fn read_one(&mut self) -> bool {
         let event = match self.reader.as_mut().map(RecordingReader::next_event) {
             Some(Ok(Some(event))) => event,
@@ -163,19 +163,18 @@ impl Playback {
     }
 }
 
-/// As the sensor behind the Bayer filter sees it.
+/// The image behind the Bayer filter (GRBG).
 fn mosaic(color: ColorFrame, format: &StreamFormat) -> Option<Bytes> {
     if color.encoding == ColorEncoding::BayerGrbg && *format == BAYER_VGA {
         return (color.bytes.len() == BAYER_VGA.frame_bytes()).then(|| color.bytes.into());
     }
     let rgb = color.decode().ok()?;
     let (width, height) = (format.width as usize, format.height as usize);
-    // Larger pictures show the same columns; their rows are centred on the same axis.
+    // Larger images show the same columns, with more rows around the same centre.
     let scale = width / rgb.width as usize;
     let margin = (height - scale * rgb.height as usize) / 2;
     let value = |i: usize| {
         let (x, y) = (i % width, i / width);
-        // GRBG.
         let channel = match (y % 2, x % 2) {
             (0, 1) => 0,
             (1, 0) => 2,

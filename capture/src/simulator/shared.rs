@@ -7,24 +7,24 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What the simulated device saw and did.
+/// What the simulated device received and did.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SimLog {
-    /// Things that a real one would not have understood.
-    pub complaints: Vec<String>,
+    /// Input that a real Kinect would not accept.
+    pub violations: Vec<String>,
     /// Depth stream.
-    pub depth: Sent,
+    pub depth: SentCounts,
     /// Colour stream.
-    pub color: Sent,
-    /// Value of the LED.
+    pub color: SentCounts,
+    /// State of the LED.
     pub led: u32,
     /// Sessions.
     pub opens: u32,
-    /// Readings of the RGB sensor's registers.
+    /// Reads of the RGB sensor's registers.
     pub exposures: u32,
     /// Registers written, in order.
     pub writes: Vec<(u16, u16)>,
-    /// True once everything there was to see has been sent.
+    /// True once every frame has been sent.
     pub over: bool,
     /// Times it was unplugged.
     pub unplugs: u32,
@@ -32,24 +32,24 @@ pub struct SimLog {
     pub unplugged_at: Option<Duration>,
 }
 
-/// What the bus, the opened device and its stream thread share.
+/// State of the simulated device.
 pub struct Shared {
     /// What happened.
     pub log: Mutex<SimLog>,
     /// Registers as written.
     pub registers: Mutex<BTreeMap<u16, u16>>,
     began: Instant,
-    /// Nanoseconds of a clock of its own; `None` in real time.
+    /// Nanoseconds of a simulated clock; `None` in real time.
     clock: Option<AtomicU64>,
 }
 
-/// Locks, whatever another thread did.
+/// Locks a mutex, poisoned or not.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {
-    /// Of a device in real time, or (`fast`) on a clock of its own.
+    /// A device in real time or, with `fast`, on a simulated clock.
     #[must_use]
     pub fn new(fast: bool) -> Self {
         let clock = fast.then(AtomicU64::default);
@@ -76,7 +76,7 @@ impl Shared {
         }
     }
 
-    /// False if `stop` was set meanwhile.
+    /// Waits until the clock shows `due`; false if `stop` was set meanwhile.
     pub fn wait_until(&self, due: Duration, stop: &AtomicBool) -> bool {
         match &self.clock {
             Some(ns) => {
@@ -100,13 +100,13 @@ impl Shared {
         count(&mut lock(&self.log));
     }
 
-    /// Whether the registers say that depth and colour stream.
+    /// Whether the registers switch the depth and the colour stream on.
     pub fn streams_on(&self) -> (bool, bool) {
         let registers = lock(&self.registers);
         (registers.get(&0x06) == Some(&2), registers.get(&0x05) == Some(&1))
     }
 
-    /// Pulls the plug, if that is still to happen.
+    /// Unplugs the device unless the plan's number is used up; true if it is unplugged.
     pub fn unplug(&self, plan: &SimPlan) -> bool {
         let now = self.now();
         let mut log = lock(&self.log);
@@ -124,22 +124,22 @@ impl Shared {
     }
 }
 
-/// What a stream of the simulated device really sent.
+/// Counters of what a stream sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Sent {
+pub struct SentCounts {
     /// Frames.
     pub frames: u64,
-    /// Packets, those that were lost on the way included.
+    /// Packets, including those lost on the way.
     pub packets: u64,
     /// Packets lost on the way.
     pub lost: u64,
-    /// Packets cut or garbled on the way.
+    /// Packets truncated or garbled on the way.
     pub spoilt: u64,
 }
 
 impl SimLog {
     /// The counters of a stream.
-    pub fn stream(&mut self, endpoint: u8) -> &mut Sent {
+    pub fn stream(&mut self, endpoint: u8) -> &mut SentCounts {
         if endpoint == DEPTH_ENDPOINT { &mut self.depth } else { &mut self.color }
     }
 }

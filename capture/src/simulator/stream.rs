@@ -1,4 +1,4 @@
-//! The isochronous side of a simulated Kinect: frames cut into packets, and what happens to them on the way.
+//! The isochronous streams of the simulated Kinect: frames cut into packets, with the faults of the plan.
 
 use crate::kinect::packet_ring::PacketSink;
 use crate::simulator::plan::SimPlan;
@@ -14,7 +14,7 @@ use std::time::Duration;
 const PERIOD: Duration = Duration::from_nanos(33_333_333);
 /// Ticks of the 60 MHz clock between frames.
 const PERIOD_TICKS: u32 = 2_000_000;
-/// Packets between two looks at the clock in real time.
+/// Packets between two checks of the clock.
 const BATCH: usize = 16;
 
 /// Runs until `stop`: the body of the device's stream thread.
@@ -34,7 +34,7 @@ struct Wire {
     format: &'static StreamFormat,
     sequence: u8,
     burst_left: u32,
-    /// A packet that waits to change places with the next.
+    /// A packet that is to be swapped with the next.
     held: Option<Vec<u8>>,
 }
 
@@ -67,7 +67,7 @@ impl Streamer {
             }
             let (depth, color) = self.player.frame(sent);
             let depth = depth.filter(|_| depth_on && !self.plan.no_depth);
-            // Colour of the larger kind comes with every third frame of depth.
+            // Large colour frames come with every third depth frame.
             let every = (30 / self.color.fps).max(1);
             let color = color.filter(|_| color_on && !self.plan.no_color && slot % u64::from(every) == 0);
             let ticks = self.plan.clock_start.wrapping_add((slot as u32).wrapping_mul(PERIOD_TICKS));
@@ -78,7 +78,7 @@ impl Streamer {
         }
     }
 
-    /// Sends a frame of each stream, packet by packet in turns; false if it is to stop.
+    /// Sends a frame of each stream, packet by packet in turns; false if the thread is to stop.
     fn send(&mut self, wires: &mut [Wire; 2], frames: [Option<&[u8]>; 2], ticks: u32, due: Duration) -> bool {
         let longest = wires.iter().map(|w| w.format.packets()).max().unwrap_or(0);
         for (wire, frame) in wires.iter().zip(&frames) {
@@ -94,7 +94,7 @@ impl Streamer {
             for (wire, frame) in wires.iter_mut().zip(&frames) {
                 let Some(frame) = frame else { continue };
                 let n = wire.format.packets();
-                // Spread over the frame's time as evenly as the longer stream's are.
+                // Spread evenly over the frame's time.
                 for index in step * n / longest..(step + 1) * n / longest {
                     let packet = wire.packet(frame, index, ticks);
                     self.deliver(wire, packet, time);
@@ -145,7 +145,7 @@ impl Streamer {
     }
 
     fn push(&mut self, endpoint: u8, packet: &[u8], time: Duration) {
-        // On a clock of its own the device waits for the driver; in real time nobody does.
+        // On the simulated clock the device waits for the driver; in real time it does not.
         while self.plan.fast && !self.sink.has_room(1, packet.len()) && !self.stop.load(Ordering::Relaxed) {
             std::thread::sleep(Duration::from_micros(200));
         }

@@ -1,17 +1,17 @@
-//! Whether the sensor moves, by what it sees: for a box without a keyboard.
+//! Detects motion of the sensor from its images, to start and end scans without a keyboard.
 
 use recordings::types::{ColorFrame, DepthFrame, TimestampNs};
 
 /// Blocks across and down.
 const GRID: (usize, usize) = (32, 24);
-/// Frames that are compared are at least so far apart.
-const STEP_NS: i64 = 150_000_000;
+/// Minimum time between two frames that are compared.
+const COMPARISON_STEP_NS: i64 = 150_000_000;
 
-/// Compares block means of frames a step apart; light that comes and goes as a whole is no motion.
+/// Compares block means of frames. A change of the overall brightness is not motion.
 #[derive(Debug, Default)]
 pub struct Motion {
-    color: View,
-    depth: View,
+    color: BlockImage,
+    depth: BlockImage,
     /// Threshold on the mean relative change.
     threshold: f64,
     moved_at: Option<TimestampNs>,
@@ -20,7 +20,7 @@ pub struct Motion {
 }
 
 #[derive(Debug, Default)]
-struct View {
+struct BlockImage {
     at: Option<TimestampNs>,
     blocks: Vec<f64>,
 }
@@ -32,10 +32,10 @@ impl Motion {
         Self { threshold, ..Self::default() }
     }
 
-    /// Looks at a colour frame; the change since the one a step before, if it is time for it.
-    pub fn see_color(&mut self, frame: &ColorFrame) -> Option<f64> {
+    /// Takes a colour frame; returns its mean relative change since the last one compared, if enough time has passed.
+    pub fn add_color(&mut self, frame: &ColorFrame) -> Option<f64> {
         let (width, height) = (frame.width as usize, frame.height as usize);
-        // Holes of lost packets are no motion.
+        // Lost packets would look like motion.
         if frame.missing_packets > 0 || frame.bytes.len() != width * height || !due(&self.color, frame.timestamp_ns) {
             return None;
         }
@@ -45,8 +45,8 @@ impl Motion {
         change
     }
 
-    /// The same for depth, where both frames have values.
-    pub fn see_depth(&mut self, frame: &DepthFrame) -> Option<f64> {
+    /// The same for depth, over pixels with values in both frames.
+    pub fn add_depth(&mut self, frame: &DepthFrame) -> Option<f64> {
         let (width, height) = (frame.width as usize, frame.height as usize);
         if frame.missing_packets > 0 || frame.depth.len() != width * height || !due(&self.depth, frame.timestamp_ns) {
             return None;
@@ -57,14 +57,14 @@ impl Motion {
         change
     }
 
-    /// Seconds without motion up to the newest frame.
+    /// Seconds without motion before the newest frame.
     #[must_use]
     pub fn still_s(&self) -> f64 {
         let since = self.moved_at.or(self.first);
         since.zip(self.newest).map_or(0.0, |(since, newest)| newest.saturating_sub(since) as f64 * 1e-9)
     }
 
-    /// True if the newest frames that were compared show motion.
+    /// True if the last comparison showed motion.
     #[must_use]
     pub fn is_moving(&self) -> bool {
         self.moved_at.is_some() && self.moved_at == self.newest
@@ -81,9 +81,9 @@ impl Motion {
     }
 }
 
-fn due(view: &View, at: TimestampNs) -> bool {
-    // The clock of another session may be behind.
-    view.at.is_none_or(|t| at < t || at - t >= STEP_NS)
+fn due(image: &BlockImage, at: TimestampNs) -> bool {
+    // The clock of a new session may be behind.
+    image.at.is_none_or(|t| at < t || at - t >= COMPARISON_STEP_NS)
 }
 
 fn block_means(width: usize, height: usize, value: impl Fn(usize) -> f64) -> Vec<f64> {
@@ -112,10 +112,10 @@ fn normalised(mut blocks: Vec<f64>) -> Vec<f64> {
     blocks
 }
 
-/// Mean of |a − b| over the mean of (a + b) / 2, of blocks that both have.
-fn change(view: &mut View, blocks: Vec<f64>, at: TimestampNs) -> Option<f64> {
-    let before = std::mem::replace(view, View { at: Some(at), blocks });
-    let both = before.blocks.iter().zip(&view.blocks).filter(|(a, b)| **a > 0.0 && **b > 0.0);
+/// Mean of |a − b| divided by the mean of (a + b) / 2, over blocks with values in both.
+fn change(image: &mut BlockImage, blocks: Vec<f64>, at: TimestampNs) -> Option<f64> {
+    let before = std::mem::replace(image, BlockImage { at: Some(at), blocks });
+    let both = before.blocks.iter().zip(&image.blocks).filter(|(a, b)| **a > 0.0 && **b > 0.0);
     let (moved, level) = both.fold((0.0, 0.0), |(m, l), (a, b)| (m + (a - b).abs(), l + (a + b) / 2.0));
     (level > 0.0).then(|| moved / level)
 }
@@ -149,11 +149,11 @@ mod tests {
     fn noise_and_flicker_are_still_and_a_slow_wave_moves() {
         let mut motion = Motion::new(0.02);
         for frame in 0..90 {
-            motion.see_color(&picture(0, if frame % 3 == 0 { 1.0 } else { 0.9 }, frame));
+            motion.add_color(&picture(0, if frame % 3 == 0 { 1.0 } else { 0.9 }, frame));
         }
         assert!(!motion.is_moving() && motion.still_s() > 2.5, "{} s", motion.still_s());
         for frame in 90..120 {
-            motion.see_color(&picture((frame - 90) as usize, 1.0, frame));
+            motion.add_color(&picture((frame - 90) as usize, 1.0, frame));
         }
         assert!(motion.is_moving() && motion.still_s() == 0.0);
     }
@@ -170,11 +170,11 @@ mod tests {
         let (mut compared, mut moving) = (0, 0);
         for event in (0..400).map_while(|i| reader.event(i).unwrap()) {
             let change = match event {
-                recordings::recording::Event::Depth(d) => motion.see_depth(&d),
+                recordings::recording::Event::Depth(d) => motion.add_depth(&d),
                 recordings::recording::Event::Color(c) => {
                     let rgb = c.decode().unwrap();
                     let bytes = rgb.data.chunks_exact(3).map(|p| p[1]).collect();
-                    motion.see_color(&ColorFrame { bytes, ..c })
+                    motion.add_color(&ColorFrame { bytes, ..c })
                 }
                 _ => None,
             };

@@ -1,8 +1,8 @@
-//! Sensors of PrimeSense's kind, and `.oni` files, through OpenNI2 (feature `openni`): a source of frames.
+//! PrimeSense sensors and `.oni` files through OpenNI2 (feature `openni`): a source of frames.
 //!
 //! # Safety
-//! The second and last file of the workspace with `unsafe`, and only in builds with the feature. Each block refers to a
-//! point by number:
+//! The second file of this crate with `unsafe`, in builds with the feature only. Each block refers to a point of the
+//! argument by number:
 //!
 //! 1. OpenNI2's C functions are called from the thread that owns the [`Device`] only; the library is initialised before
 //!    the first of them, and shut down after the last, by [`Library`], of which there is one at a time.
@@ -23,12 +23,12 @@ use std::time::Duration;
 
 /// OpenNI 2.2, major × 1000 + minor.
 const API_VERSION: c_int = 2002;
-/// Longest wait for a frame of a sensor.
+/// Longest wait for a frame.
 const FRAME_LIMIT: Duration = Duration::from_secs(3);
-/// Pixels of the largest picture that is believed.
+/// Pixels of the largest plausible image.
 const MAX_PIXELS: usize = 4096 * 4096;
 
-/// What went wrong, with what to do about it.
+/// An error of OpenNI2, with the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("OpenNI2: {0}; plug the sensor in, or give an .oni file")]
 pub struct OpenNiError(String);
@@ -41,7 +41,7 @@ struct Library;
 impl Library {
     fn initialise() -> Result<Self, OpenNiError> {
         if IN_USE.swap(true, Ordering::AcqRel) {
-            return Err(OpenNiError("is in use already".into()));
+            return Err(OpenNiError("another device is open".into()));
         }
         let library = Self;
         // SAFETY: (1).
@@ -76,7 +76,7 @@ pub struct Device {
     color: Option<Stream>,
     handle: Handle,
     is_file: bool,
-    /// Depth frames of a file that are yet to come.
+    /// Depth frames of a file that are still to come.
     left: usize,
     sensor: Sensor,
     _library: Library,
@@ -119,7 +119,7 @@ impl Device {
     /// There is none, it has no depth, or OpenNI2 and its drivers are not installed.
     pub fn open(address: &str) -> Result<Self, OpenNiError> {
         let library = Library::initialise()?;
-        let text = CString::new(address).map_err(|_| OpenNiError("an address has no zero in it".into()))?;
+        let text = CString::new(address).map_err(|_| OpenNiError("the address contains a zero byte".into()))?;
         let mut device = ptr::null_mut();
         // SAFETY: (1), (2); a null address means any device.
         checked(unsafe {
@@ -131,11 +131,11 @@ impl Device {
         let depth = Stream::create(device, ni::ONI_SENSOR_DEPTH)?;
         let color = Stream::create(device, ni::ONI_SENSOR_COLOR).ok();
         if is_file {
-            // As fast as it is read, once.
+            // Plays once, as fast as it is read.
             set_device(device, ni::ONI_DEVICE_PROPERTY_PLAYBACK_SPEED, &-1.0f32);
             set_device(device, ni::ONI_DEVICE_PROPERTY_PLAYBACK_REPEAT_ENABLED, &(0 as ni::OniBool));
         } else {
-            // Depth as the colour camera sees it, where the sensor can.
+            // Depth registered to the colour camera, where the sensor can.
             let mode: c_int = ni::ONI_IMAGE_REGISTRATION_DEPTH_TO_COLOR as c_int;
             set_device(device, ni::ONI_DEVICE_PROPERTY_IMAGE_REGISTRATION, &mode);
         }
@@ -154,16 +154,16 @@ impl Device {
         &self.sensor
     }
 
-    /// True if it is a file, which waits for who reads.
+    /// True if it is a file, which waits for the reader.
     #[must_use]
     pub fn is_file(&self) -> bool {
         self.is_file && !self.handle.0.is_null()
     }
 
-    /// The next frame of either stream; `None` at the end of a file, or when a sensor says no more.
+    /// The next frame of either stream; `None` at the end of a file, or when a sensor sends no more.
     ///
     /// # Errors
-    /// The sensor is gone, or sends what is no picture.
+    /// The sensor is unplugged, or a frame is invalid.
     pub fn next_event(&mut self) -> Result<Option<Event>, OpenNiError> {
         if self.left == 0 {
             return Ok(None);
@@ -171,7 +171,7 @@ impl Device {
         let mut handles = [self.depth.handle, self.color.as_ref().map_or(ptr::null_mut(), |c| c.handle)];
         let count = 1 + c_int::from(self.color.is_some());
         let (mut which, limit) = (0, FRAME_LIMIT.as_millis() as c_int);
-        // SAFETY: (1), (2): as many handles as are said.
+        // SAFETY: (1), (2): as many handles as `count` states.
         let status = unsafe { ni::oniWaitForAnyStream(handles.as_mut_ptr(), count, &raw mut which, limit) };
         if status == ni::ONI_STATUS_TIME_OUT {
             return Ok(None);
@@ -200,9 +200,9 @@ impl Stream {
         stream.mode = stream
             .property(ni::ONI_STREAM_PROPERTY_VIDEO_MODE, zero)
             .ok_or_else(|| OpenNiError("a stream without a format".into()))?;
-        // Pictures as the world is, not as a mirror shows it.
+        // Not mirrored.
         let off: ni::OniBool = 0;
-        // SAFETY: (2); the value has the size that is said. A stream that cannot be mirrored is not.
+        // SAFETY: (2); the value has the stated size. A stream without this property is not mirrored.
         unsafe {
             ni::oniStreamSetProperty(
                 handle,
@@ -216,7 +216,7 @@ impl Stream {
 
     fn property<T: Copy>(&self, id: ni::OniStreamProperty, initial: T) -> Option<T> {
         let (mut value, mut size) = (initial, size_of::<T>() as c_int);
-        // SAFETY: (2); OpenNI2 writes no more than `size` bytes, and only plain numbers are asked for.
+        // SAFETY: (2); OpenNI2 writes no more than `size` bytes, and only plain numbers are read.
         let status = unsafe {
             ni::oniStreamGetProperty(self.handle, id as c_int, (&raw mut value).cast::<c_void>(), &raw mut size)
         };
@@ -224,9 +224,9 @@ impl Stream {
     }
 }
 
-/// A property that not every device has.
+/// Sets a property that not every device has.
 fn set_device<T>(device: ni::OniDeviceHandle, id: ni::OniDeviceProperty, value: &T) {
-    // SAFETY: (2); the value has the size that is said.
+    // SAFETY: (2); the value has the stated size.
     let status =
         unsafe { ni::oniDeviceSetProperty(device, id as c_int, ptr::from_ref(value).cast(), size_of::<T>() as c_int) };
     if status != ni::ONI_STATUS_OK {
@@ -238,7 +238,7 @@ fn frames_of(stream: &Stream) -> usize {
     stream.property(ni::ONI_STREAM_PROPERTY_NUMBER_OF_FRAMES, 0i32).map_or(usize::MAX, |n| n.max(0) as usize)
 }
 
-/// Intrinsics by the field of view that the sensor states.
+/// Intrinsics from the field of view that the sensor reports.
 fn describe(depth: &Stream, color: Option<&Stream>) -> Sensor {
     let camera = |s: &Stream| {
         let (width, height) = (s.mode.resolutionX.max(0) as u32, s.mode.resolutionY.max(0) as u32);

@@ -1,9 +1,9 @@
-//! Pairs colour and depth frames by time: a pair is two frames each of which is the other's nearest.
+//! Pairs colour and depth frames that are mutually nearest in time.
 
 use recordings::types::TimestampNs;
 use std::collections::VecDeque;
 
-/// Frames of one kind that may wait for the other kind; beyond, the oldest goes unpaired.
+/// Frames of one kind that may wait for the other kind; beyond this, the oldest stays unpaired.
 const LOOKAHEAD: usize = 32;
 
 /// A frame waiting for its partner.
@@ -14,7 +14,7 @@ struct Waiting<T> {
     frame: T,
 }
 
-/// What the pairer has decided about the oldest frames.
+/// A decision about the oldest frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Decided<C, D> {
     /// Two frames of the same instant.
@@ -25,20 +25,20 @@ pub enum Decided<C, D> {
     Depth(D),
 }
 
-/// Pairs two streams, each in order of time, as they come: memory for a few frames, the same answer as looking at all
-/// of them at once. A frame that is not newer than the one before it (of its kind) is decided as unpaired.
+/// Pairs two streams, each in order of time, as they arrive. It holds a few frames and decides as if it knew all of them. A
+/// frame that is not newer than the one before it (of its kind) stays unpaired.
 #[derive(Debug)]
 pub struct Pairer<C, D> {
     max_gap_ns: i64,
     color: VecDeque<Waiting<C>>,
     depth: VecDeque<Waiting<D>>,
-    /// Newest frame of each kind already decided: it may be nearer than any that waits.
+    /// Newest frame of each kind already decided; it may be nearer than any that waits.
     last_color: Option<TimestampNs>,
     last_depth: Option<TimestampNs>,
     /// Newest frame of each kind pushed.
     newest_color: Option<TimestampNs>,
     newest_depth: Option<TimestampNs>,
-    /// Frames out of order, decided when they came.
+    /// Frames out of order, decided on arrival.
     refused: VecDeque<Decided<C, D>>,
     ended: bool,
 }
@@ -80,7 +80,7 @@ impl<C, D> Pairer<C, D> {
         }
     }
 
-    /// Nothing more will come. True the first time, when there may be more to decide.
+    /// Ends both streams. True the first time, when more can be decided.
     pub fn end(&mut self) -> bool {
         !std::mem::replace(&mut self.ended, true)
     }
@@ -141,7 +141,7 @@ fn verdict<A, B>(
     let Some(partner) = other.front() else {
         return if ended || full { Verdict::Alone } else { Verdict::Wait };
     };
-    // Saturating: stamps of a damaged recording may be anything.
+    // Saturating: time stamps of a damaged recording may have any value.
     let gap = partner.time.saturating_sub(x.time);
     if gap > max_gap_ns || last_other.is_some_and(|t| x.time.saturating_sub(t).saturating_abs() <= gap) {
         return Verdict::Alone;

@@ -12,16 +12,16 @@ use recordings::source::FrameSource;
 use recordings::types::{ColorFrame, DepthFrame, Sensor, TimestampNs};
 use std::path::{Path, PathBuf};
 
-/// A colour frame and the depth frame of the same instant, as they came.
+/// A colour frame and the depth frame of the same instant, not yet decoded.
 #[derive(Debug)]
 pub struct RawPair {
-    /// Colour, with the time stamp it shall have (`--loop` continues the clock).
+    /// Colour; its time stamp continues over the turns of `--loop`.
     pub color: ColorFrame,
     /// Depth.
     pub depth: DepthFrame,
     /// Newest reading of the accelerometer: specific force in m/s², camera axes.
     pub acceleration: Option<[f32; 3]>,
-    /// Share of the source that has been played, all turns counted.
+    /// Share of the source that has been played, over all turns.
     pub played: f64,
 }
 
@@ -56,7 +56,7 @@ struct Replayed {
     next: usize,
     /// Time on the continued clock of the newest pair.
     clock: TimestampNs,
-    /// Time in the source of the same.
+    /// Time of that pair in the source.
     source_time: TimestampNs,
 }
 
@@ -64,17 +64,17 @@ impl Pairs {
     /// Opens a recording or a TUM folder, to be played `plays` times.
     ///
     /// # Errors
-    /// There is nothing of that name, or it is damaged.
+    /// It does not exist or is damaged.
     pub fn open(path: &Path, plays: u32, config: &CaptureConfig) -> Result<Self, Failure> {
         let source = Source::open(path)?;
         if plays > 1 && !matches!(source, Source::Frames(_)) {
-            let problem = "plays forward only; leave --loop out, or record frames";
+            let problem = "can be played once only; omit --loop, or record frames";
             return Err(Failure::Usage(format!("{}: {problem}", path.display())));
         }
         Ok(Self::new(source, path, plays, config))
     }
 
-    /// Of a Kinect that streams.
+    /// The pairs of a streaming Kinect.
     #[must_use]
     pub fn live(streaming: Streaming, config: &CaptureConfig) -> Self {
         Self::new(Source::Kinect(Box::new(streaming)), Path::new("kinect"), 1, config)
@@ -98,13 +98,13 @@ impl Pairs {
         }
     }
 
-    /// True if the source does not wait for who reads.
+    /// True if pairs are dropped where the consumer is slow, since the source does not wait.
     #[must_use]
-    pub fn gives_way(&self) -> bool {
-        matches!(&self.source, Source::Kinect(k) if k.gives_way())
+    pub fn drops_when_slow(&self) -> bool {
+        matches!(&self.source, Source::Kinect(k) if k.drops_when_slow())
     }
 
-    /// The sensor, with what the source does not say filled in from the configuration.
+    /// The sensor; the configuration fills in what the source does not state.
     #[must_use]
     pub fn sensor(&self, config: &CaptureConfig) -> Sensor {
         let mut sensor = self.source.sensor().clone();
@@ -220,7 +220,7 @@ impl Pairs {
         )))
     }
 
-    /// Pairs of the second and later turns are found again by the numbers of their events.
+    /// The next pair of the second and later turns, read again by the numbers of its events.
     fn next_replayed(&mut self) -> Result<Option<RawPair>, Failure> {
         let Some(turn) = &mut self.replayed else { return Ok(None) };
         let Some(&place) = self.index.get(turn.next) else { return Ok(None) };
@@ -241,7 +241,10 @@ impl Pairs {
         }
         let (color, depth) = (self.source.event(place.color, &self.path)?, self.source.event(place.depth, &self.path)?);
         let (Some(Event::Color(mut color)), Some(Event::Depth(depth))) = (color, depth) else {
-            return Err(Failure::Input(format!("{}: changed while it was played; play a copy", self.path.display())));
+            return Err(Failure::Input(format!(
+                "{}: the file changed while it was played; play a copy",
+                self.path.display()
+            )));
         };
         self.count(color.missing_packets, true);
         self.count(depth.missing_packets, false);

@@ -1,4 +1,4 @@
-//! Which Kinect a command works with, and what is written about it in recordings and scans.
+//! The Kinect that a command uses, and its description in recordings and scans.
 
 use crate::failure::Failure;
 use crate::kinect::driver::Kinect;
@@ -14,7 +14,7 @@ use recordings::types::{CameraModel, Distortion, Intrinsics, Pose, Response, Sen
 /// The machine's USB, or a simulated one.
 ///
 /// # Errors
-/// The plan of the simulation is not understood.
+/// The plan of the simulation is invalid.
 pub fn bus(simulate: Option<&String>) -> Result<Box<dyn Bus>, Failure> {
     match simulate {
         None => Ok(Box::new(UsbBus::default())),
@@ -25,12 +25,12 @@ pub fn bus(simulate: Option<&String>) -> Result<Box<dyn Bus>, Failure> {
     }
 }
 
-/// A Kinect that cannot be used ends a command as one that is not there does.
+/// The failure of a command whose Kinect is missing or unusable.
 pub fn failure(e: impl Into<KinectError>) -> Failure {
     Failure::Input(e.into().to_string())
 }
 
-/// What is written about an opened Kinect.
+/// The description of an opened Kinect.
 #[must_use]
 pub fn describe(kinect: &Kinect, config: &Config) -> Sensor {
     let found = kinect.found();
@@ -50,7 +50,7 @@ pub fn describe(kinect: &Kinect, config: &Config) -> Sensor {
     }
 }
 
-/// The setting as recordings have it.
+/// The setting in the form that recordings store.
 #[must_use]
 pub fn response(choice: ResponseChoice) -> Response {
     match choice {
@@ -60,7 +60,7 @@ pub fn response(choice: ResponseChoice) -> Response {
     }
 }
 
-/// The settings hold for 640×480. Larger pictures show the same columns; their rows are centred on the same axis.
+/// The settings are for 640×480. Larger images show the same columns, with more rows around the same centre.
 fn color_camera(camera: &CameraConfig, format: &StreamFormat) -> CameraModel {
     let scale = f64::from(format.width) / 640.0;
     let margin = (f64::from(format.height) - 480.0 * scale) / 2.0;
@@ -70,7 +70,7 @@ fn color_camera(camera: &CameraConfig, format: &StreamFormat) -> CameraModel {
             height: format.height,
             fx: camera.fx * scale,
             fy: camera.fy * scale,
-            // Pixel centres stand at integer coordinates.
+            // Pixel centres are at integer coordinates.
             cx: (camera.cx + 0.5) * scale - 0.5,
             cy: (camera.cy + 0.5) * scale - 0.5 + margin,
         },

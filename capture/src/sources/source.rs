@@ -9,20 +9,20 @@ use recordings::types::Sensor;
 use std::collections::VecDeque;
 use std::path::Path;
 
-/// Where events come from.
+/// A source of events.
 pub enum Source {
     /// A recording of frames or a TUM folder.
     Frames(Box<FrameSource>),
-    /// A recording of USB packets: everything behind USB runs again.
+    /// A recording of USB packets, which are assembled and decoded again.
     Packets(Box<Packets>),
-    /// A Kinect that streams.
+    /// A streaming Kinect.
     Kinect(Box<Streaming>),
     /// An `.oni` file.
     #[cfg(feature = "openni")]
     OpenNi(Box<crate::sources::openni::Device>),
 }
 
-/// A recording of packets, and the frames that came of them and are yet to be taken.
+/// A recording of packets, and the decoded frames that are still to be taken.
 pub struct Packets {
     reader: RecordingReader,
     decoder: Decoder,
@@ -31,6 +31,9 @@ pub struct Packets {
 
 impl Source {
     /// Opens a recording or a TUM folder.
+    ///
+    /// # Errors
+    /// It does not exist or is damaged.
     pub fn open(path: &Path) -> Result<Self, Failure> {
         #[cfg(feature = "openni")]
         if path.extension().is_some_and(|e| e == "oni") {
@@ -47,6 +50,7 @@ impl Source {
         Ok(Self::Frames(Box::new(FrameSource::open(path)?)))
     }
 
+    /// The sensor's description.
     pub fn sensor(&self) -> &Sensor {
         match self {
             Self::Frames(s) => s.sensor(),
@@ -57,7 +61,10 @@ impl Source {
         }
     }
 
-    /// Event number `index`. Packets and a Kinect have them in order only.
+    /// Event number `index`; sources other than recordings of frames give their events in order only.
+    ///
+    /// # Errors
+    /// The source is damaged.
     pub fn event(&mut self, index: usize, path: &Path) -> Result<Option<Event>, Failure> {
         match self {
             Self::Frames(s) => Ok(s.event(index)?),
@@ -68,6 +75,7 @@ impl Source {
         }
     }
 
+    /// Share of the source before event number `index`; 0 where unknown.
     pub fn progress(&self, index: usize) -> f64 {
         match self {
             Self::Frames(s) => s.progress(index),
@@ -78,7 +86,7 @@ impl Source {
         }
     }
 
-    /// Packets that did not come, where they are known: with those of frames that never came.
+    /// Packets that did not arrive, where known, including those of frames that are missing altogether.
     pub fn missing_packets(&self) -> Option<u64> {
         let streams = match self {
             Self::Frames(_) => return None,

@@ -1,8 +1,8 @@
-//! A Kinect that streams into a scan: its frames, and when the scan is over. However it ends, what came before counts.
+//! The frames of a live scan, and the conditions that end it. Frames before the end are kept, whatever ended it.
 
 use crate::device_folder::disk::has_room;
 use crate::kinect::driver::Led;
-use crate::kinect::live::{Live, Polled};
+use crate::kinect::live::{Live, Polled, StreamKind};
 use crate::orders::Orders;
 use crate::sources::motion::Motion;
 use crate::status::Board;
@@ -15,34 +15,36 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Between two looks at the disk.
+/// Time between two checks of the disk.
 const DISK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Why a scan's capture is over.
+/// Why the capture of a scan has ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ending {
-    /// The user said so.
+    /// The user ended it.
     Ordered,
     /// The sensor stands still.
     Still,
-    /// It is as long as a scan may be.
+    /// It has reached `daemon.max_scan_s`.
     Longest,
-    /// The service is to end.
+    /// The service is being stopped.
     Terminated,
     /// The disk is nearly full.
     DiskFull,
     /// The Kinect was unplugged.
     Unplugged,
-    /// The Kinect does not answer any more.
+    /// The Kinect no longer answers.
     Failed(String),
 }
 
 impl Ending {
-    /// What the user should know of it.
+    /// The message for the user, if it was not an ordinary end.
     #[must_use]
     pub fn problem(&self) -> Option<String> {
         match self {
-            Self::DiskFull => Some("the disk is nearly full: the scan was ended; fetch and remove some scans".into()),
+            Self::DiskFull => {
+                Some("the disk is nearly full: the scan was ended; copy scans elsewhere and remove them".into())
+            }
             Self::Unplugged => Some("the Kinect was unplugged: the scan was ended; plug it in again".into()),
             Self::Failed(problem) => Some(format!("the scan was ended: {problem}")),
             _ => None,
@@ -50,18 +52,18 @@ impl Ending {
     }
 }
 
-/// Where the ending is left for the daemon.
+/// Where the daemon reads the reason of the end.
 pub type EndingSlot = Arc<Mutex<Option<Ending>>>;
 
-/// What a scan's frames and its end depend on.
+/// What ends a scan, and where its figures are shown.
 pub struct Conditions {
-    /// To stop, by the user.
+    /// The user's requests.
     pub orders: Orders,
-    /// To end, by the service manager.
+    /// The service manager's signals.
     pub stop: Stop,
-    /// What is shown.
+    /// Receives the driver's figures.
     pub board: Arc<Board>,
-    /// Ends when the sensor stands still.
+    /// True if stillness of the sensor ends the scan.
     pub auto: bool,
     /// Limits.
     pub config: DaemonConfig,
@@ -78,9 +80,9 @@ pub struct Streaming {
     first: Option<TimestampNs>,
     newest: TimestampNs,
     conditions: Conditions,
-    disk_seen: Instant,
-    /// A stream that was found silent.
-    silent: Option<&'static str>,
+    disk_checked: Instant,
+    /// The silent stream that was last reported.
+    silent: Option<StreamKind>,
     ending: EndingSlot,
 }
 
@@ -97,7 +99,7 @@ impl Streaming {
             first: None,
             newest: TimestampNs::MIN,
             conditions,
-            disk_seen: Instant::now(),
+            disk_checked: Instant::now(),
             silent: None,
             ending: EndingSlot::default(),
         }
@@ -109,19 +111,19 @@ impl Streaming {
         &self.sensor
     }
 
-    /// Where the reason of the end will stand.
+    /// Will hold the reason of the end.
     #[must_use]
     pub fn ending(&self) -> EndingSlot {
         Arc::clone(&self.ending)
     }
 
-    /// True if the sensor does not wait for who reads.
+    /// True if frames are lost where the consumer is slow, as with a real sensor.
     #[must_use]
-    pub fn gives_way(&self) -> bool {
+    pub fn drops_when_slow(&self) -> bool {
         !self.live.waits()
     }
 
-    /// Packets that did not come.
+    /// Packets that did not arrive.
     #[must_use]
     pub fn missing_packets(&self) -> u64 {
         let s = self.live.stats().streams;
@@ -132,13 +134,13 @@ impl Streaming {
     pub fn next_event(&mut self) -> Option<Event> {
         loop {
             if let Some(frame) = self.frames.pop_front() {
-                self.look_at(&frame);
+                self.observe(&frame);
                 return Some(frame);
             }
             if self.ending.lock().unwrap_or_else(PoisonError::into_inner).is_some() {
                 return None;
             }
-            if let Some(ending) = self.over() {
+            if let Some(ending) = self.ending_now() {
                 return self.end(ending);
             }
             let frames = &mut self.frames;
@@ -152,16 +154,16 @@ impl Streaming {
                 self.silent = Some(stream);
                 self.conditions
                     .board
-                    .error(&format!("no {stream} frames come; plug the Kinect into a USB 2 port of its own"));
+                    .error(&format!("no {stream} frames arrive; plug the Kinect into a USB 2 port of its own"));
             }
             self.conditions.board.driver(&self.live.stats(), self.live.exposure_us());
         }
     }
 
-    fn look_at(&mut self, frame: &Event) {
+    fn observe(&mut self, frame: &Event) {
         match frame {
-            Event::Color(c) => self.motion.see_color(c),
-            Event::Depth(d) => self.motion.see_depth(d),
+            Event::Color(c) => self.motion.add_color(c),
+            Event::Depth(d) => self.motion.add_depth(d),
             _ => return,
         };
         let t = frame.timestamp_ns();
@@ -169,7 +171,7 @@ impl Streaming {
         self.newest = self.newest.max(t);
     }
 
-    fn over(&mut self) -> Option<Ending> {
+    fn ending_now(&mut self) -> Option<Ending> {
         let c = &self.conditions;
         let seconds = self.first.map_or(0.0, |f| self.newest.saturating_sub(f) as f64 * 1e-9);
         if c.stop.check().is_err() {
@@ -180,9 +182,9 @@ impl Streaming {
             Some(Ending::Longest)
         } else if c.auto && self.motion.still_s() >= c.config.end_still_s {
             Some(Ending::Still)
-        } else if self.disk_seen.elapsed() >= DISK_INTERVAL {
-            self.disk_seen = Instant::now();
-            // A folder that is gone is found when the scan is written.
+        } else if self.disk_checked.elapsed() >= DISK_INTERVAL {
+            self.disk_checked = Instant::now();
+            // A missing folder is reported when the scan is written.
             (!has_room(&c.device, &c.config).unwrap_or(true)).then_some(Ending::DiskFull)
         } else {
             None
@@ -192,7 +194,7 @@ impl Streaming {
     fn end(&mut self, ending: Ending) -> Option<Event> {
         let mut slot = self.ending.lock().unwrap_or_else(PoisonError::into_inner);
         if slot.is_none() {
-            tracing::info!("the capture is over: {ending:?}");
+            tracing::info!("the capture has ended: {ending:?}");
             self.live.set_led(if ending.problem().is_some() { Led::Error } else { Led::Busy });
             *slot = Some(ending);
         }

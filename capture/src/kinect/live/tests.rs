@@ -61,7 +61,7 @@ fn a_clean_session_is_complete_and_correct() {
         let mut bus = SimBus::new(SimPlan { model, ..fast() });
         let s = session(&mut bus, &config()).unwrap();
         let log = bus.log();
-        assert_eq!(log.complaints, [""; 0], "{model:?}");
+        assert_eq!(log.violations, [""; 0], "{model:?}");
         assert_eq!((s.depth.len(), s.color.len()), (20, 20));
         assert_eq!(s.stats.ring.packets, log.depth.packets + log.color.packets);
         assert_eq!((s.stats.streams.depth.missing, s.stats.streams.color.missing, s.stats.restarts), (0, 0, 0));
@@ -89,7 +89,7 @@ fn the_exposure_is_read_twice_a_second_at_most() {
     let mut bus = SimBus::new(plan());
     let s = session(&mut bus, &KinectConfig { read_exposure: true, ..config() }).unwrap();
     let read = bus.log().exposures;
-    assert!((4..=8).contains(&read) && bus.log().complaints.is_empty(), "{read} readings in 3 s");
+    assert!((4..=8).contains(&read) && bus.log().violations.is_empty(), "{read} readings in 3 s");
     assert_eq!(s.depth.len(), 90);
     // One that never answers costs a tenth of a second, twice a second, and no frame.
     let mut bus = SimBus::new(SimPlan { not_ready: 200, ..plan() });
@@ -135,7 +135,7 @@ fn garbage_without_end_is_silence() {
 fn other_formats_stream_too() {
     let mut bus = SimBus::new(fast());
     let s = session(&mut bus, &KinectConfig { depth_bits: 10, color_sxga: true, ..config() }).unwrap();
-    assert_eq!(bus.log().complaints, [""; 0]);
+    assert_eq!(bus.log().violations, [""; 0]);
     assert_eq!((s.depth.len(), s.color.len()), (20, 7));
     assert_eq!((s.color[0].width, s.color[0].height, s.color[0].bytes.len()), (1280, 1024, 1_310_720));
     assert!(s.depth[0].depth.iter().filter(|d| **d > 0).count() > 280_000);
@@ -199,7 +199,7 @@ fn what_goes_wrong_on_the_way_is_survived() {
 fn not_ready_and_stale_replies_are_waited_out() {
     let mut bus = SimBus::new(SimPlan { not_ready: 7, stale: 3, ..fast() });
     let s = session(&mut bus, &config()).unwrap();
-    assert_eq!((s.depth.len(), bus.log().complaints.len()), (20, 0));
+    assert_eq!((s.depth.len(), bus.log().violations.len()), (20, 0));
 }
 
 #[test]
@@ -255,7 +255,7 @@ fn one_stream_alone_is_named() {
         live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
         named = named.or(live.silent_stream());
     }
-    assert_eq!(named, Some("colour"));
+    assert_eq!(named, Some(StreamKind::Color));
 }
 
 #[test]
