@@ -18,6 +18,7 @@ use estimator::render::relight::{BANDS, NewLight, Relight};
 use estimator::render::removal::{Removal, select};
 use firmware_config::RealityConfig;
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use recordings::decision::TransferLevel;
 use recordings::result::{Estimate, Light, Segment};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response, vertex_normals};
 use std::time::Instant;
@@ -116,7 +117,7 @@ fn desk() -> Estimate {
         light: Light { coefficients, ..Light::default() },
         segments: segments.collect(),
         keyframes: Vec::new(),
-        transfer: "gi".into(),
+        transfer: TransferLevel::Gi,
         decisions: Vec::new(),
         cuts: Vec::new(),
         warnings: Vec::new(),

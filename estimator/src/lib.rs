@@ -22,6 +22,7 @@ use crate::budget::{Machine, Plan, WallClock};
 use crate::factorisation::factorise;
 use crate::specular::Gloss;
 use firmware_config::{EstimatorConfig, Switch};
+use recordings::decision::Warning;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Arc;
@@ -95,7 +96,7 @@ pub fn estimate_on(
     let witnesses = stages::witnesses(&mut ready, scan, &found, &gloss, &lit_with_gloss, config, &mut plan);
     ready.decisions.push(stages::transfer_decision(&found));
     if scan.keyframes.len() < 2 {
-        warnings.push("one keyframe: exposure, pose and gloss cannot be told".to_owned());
+        warnings.push(Warning::OneKeyframe);
     }
     warnings.extend(stages::unseen_light(&found));
     plan.writing();
@@ -106,7 +107,7 @@ pub fn estimate_on(
         keyframes: stages::keyframes(scan, &ready),
         segments: stages::segment_table(&ready.segment, &found, &gloss),
         light: stages::light(&ready, &found, &gloss),
-        transfer: stages::transfer_level(&found).into(),
+        transfer: stages::transfer_level(&found),
         mesh: ready.mesh,
         segment: ready.segment,
         lit_color: ready.fields.lit_color,

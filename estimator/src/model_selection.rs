@@ -8,7 +8,7 @@ use crate::transfer::{self, ERROR_OF_TWICE, Pilot, Traced, Transfer};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
 use rayon::prelude::*;
-use recordings::result::Decision;
+use recordings::decision::{BandsGain, Decision};
 use recordings::types::Mesh;
 use std::sync::Arc;
 
@@ -103,7 +103,7 @@ pub fn bands(
     let floors = floors(evidence);
     let level = |n: usize, fewer: Option<&Level>| Level::new(&observed, evidence, &floors, n, fewer);
     let mut tried = Vec::new();
-    let mut note = |l: &Level| tried.push((l.bands, l.error()));
+    let mut note = |l: &Level| tried.push((l.bands as u32, l.error()));
     let mut best = level(UPWARD[0].clamp(least, most), None);
     note(&best);
     let mut next: Option<(usize, SampleMean)> = None;
@@ -135,21 +135,12 @@ pub fn bands(
         }
     }
     tried.sort_unstable_by_key(|t| t.0);
-    let tried: Vec<String> = tried.iter().map(|(n, e)| format!("{n}: {e:.4}")).collect();
     let chosen = best.bands;
-    let next_level = next.map_or_else(String::new, |(n, g)| {
-        format!("{n} bands: held-out error lower by {:.5} ± {:.5}", g.mean, g.error)
-    });
-    let condition = best.condition;
-    let decision = Decision {
-        name: "bands".into(),
-        choice: chosen.to_string(),
-        evidence: format!(
-            "mean relative error on vertices left out, by bands: {}; condition {condition:.1e}",
-            tried.join(", "),
-        ),
-        cost: format!("{} unknowns a channel", chosen * chosen),
-        next_level,
+    let decision = Decision::Bands {
+        chosen: chosen as u32,
+        held_out: tried,
+        condition: best.condition,
+        next: next.map(|(n, g)| BandsGain { bands: n as u32, gain: g.mean, standard_error: g.error }),
     };
     let held_out = best.error();
     let start = factorisation::start_from(transfer, evidence, best.solution);

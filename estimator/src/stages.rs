@@ -21,7 +21,8 @@ use crate::transfer::{self, Traced};
 use crate::validation;
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::Vec3;
-use recordings::result::{Decision, Light, ResultKeyframe, Segment, WitnessError};
+use recordings::decision::{BouncedLight, Cut, Decision, TransferLevel, TransferNext, Warning};
+use recordings::result::{Light, ResultKeyframe, Segment, WitnessError};
 use recordings::scan::{Scan, ScanSource};
 use recordings::types::{Keyframe, Mesh};
 use std::sync::Arc;
@@ -41,7 +42,7 @@ pub struct Ready {
     /// What was decided so far.
     pub decisions: Vec<Decision>,
     /// What the user should know so far.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 impl Ready {
@@ -229,19 +230,13 @@ pub fn refine(
         return found;
     }
     let Some(better) = trace(ready, config, rays, Some(&traced), plan, progress) else { return found };
-    ready.decisions.push(Decision {
-        name: "rays without gloss".into(),
-        choice: better.rays.to_string(),
-        evidence: format!(
-            "mean relative error on vertices left out: {held_out:.4} without gloss; relative standard error of the transfer: \
-             {:.4} with {} rays, {:.4} with {}",
-            traced.relative_error(),
-            traced.rays,
-            better.relative_error(),
-            better.rays,
-        ),
-        cost: millions(&better),
-        next_level: format!("{} rays were chosen before gloss was known", traced.rays),
+    ready.decisions.push(Decision::RaysWithoutGloss {
+        chosen: better.rays,
+        before: traced.rays,
+        held_out,
+        error_before: traced.relative_error(),
+        error: better.relative_error(),
+        vertices: better.vertices() as u32,
     });
     let settings = Settings { bands, bounces: plan.shape().bounces, ..*settings };
     factorise(better, &ready.colors(), &settings, Some(found.into()))
@@ -271,7 +266,7 @@ pub fn witnesses(
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {
         if !plan.witness() {
-            plan.leave_out(format!("witnesses: {i} of {} predicted", scan.witnesses.len()));
+            plan.leave_out(Cut::Witnesses { predicted: i as u32, of: scan.witnesses.len() as u32 });
             break;
         }
         compared.extend(validation::compare(&model, &setting, frame, config));
@@ -331,19 +326,19 @@ pub fn segment_table(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Ve
     .collect()
 }
 
-/// "diffuse", "shade" or "gi".
+/// The level that the transfer has.
 #[must_use]
-pub fn transfer_level(found: &Factorised) -> &'static str {
+pub fn transfer_level(found: &Factorised) -> TransferLevel {
     match (found.transfer.traced.rays, &found.transfer.bounced) {
-        (0, _) => "diffuse",
-        (_, Some(_)) => "gi",
-        _ => "shade",
+        (0, _) => TransferLevel::Diffuse,
+        (_, Some(_)) => TransferLevel::Gi,
+        _ => TransferLevel::Shade,
     }
 }
 
-/// A word where the scene's surfaces do not tell most of the light.
+/// A warning where the surfaces do not determine most of the light.
 #[must_use]
-pub fn unseen_light(found: &Factorised) -> Option<String> {
+pub fn unseen_light(found: &Factorised) -> Option<Warning> {
     let solution = &found.solution;
     let level = solution.light.first().map_or(0.0, |c| c.iter().sum::<f64>() / 3.0);
     // The linear band is three coefficients; a wall tells one of them at best.
@@ -351,56 +346,30 @@ pub fn unseen_light(found: &Factorised) -> Option<String> {
         let deviation = solution.standard_deviation.get(k).map_or(f64::INFINITY, |d| d.iter().sum::<f64>() / 3.0);
         deviation > UNTOLD * level
     };
-    let untold = (1..4).filter(|k| vague(*k)).count();
-    (untold > 0 && solution.light.len() < sh::MAX_COEFFICIENTS).then(|| {
-        format!(
-            "light: {untold} of the 3 directions of its first band are not told by these surfaces; the rest of the light \
-             cannot be seen from here"
-        )
-    })
+    let directions = (1..4).filter(|k| vague(*k)).count() as u32;
+    (directions > 0 && solution.light.len() < sh::MAX_COEFFICIENTS).then_some(Warning::UnseenLight { directions })
 }
 
 /// A coefficient of the first band is untold if its deviation exceeds this share of the mean light's coefficient.
 const UNTOLD: f64 = 0.25;
 
-/// What the rays cost.
-fn millions(traced: &Traced) -> String {
-    format!("{:.1} million rays", traced.vertices() as f64 * f64::from(traced.rays) / 1e6)
-}
-
 /// What transfer was chosen, and on what evidence.
 #[must_use]
 pub fn transfer_decision(found: &Factorised) -> Decision {
     let traced = &found.transfer.traced;
-    let bounced = found.transfer.bounced.as_ref().map_or(String::new(), |b| {
-        format!(
-            "; {} bounces bring {:.1} % of the light, the last {:.2} %",
-            b.bounces,
-            100.0 * b.share,
-            100.0 * b.last_share
-        )
-    });
-    let level = transfer_level(found);
-    let rays = traced.rays;
-    Decision {
-        name: "transfer".into(),
-        choice: level.into(),
-        evidence: format!(
-            "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error {:.3}",
-            100.0 * traced.mean_blocked(),
-            traced.relative_error(),
-        ),
-        cost: millions(traced),
-        next_level: match level {
-            "diffuse" => "visibility: less than the colours err".into(),
-            "shade" => {
-                let share = model_selection::grey_bounce(traced);
-                format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * share)
-            }
-            _ => format!(
-                "twice the rays: relative standard error about {:.3}",
-                transfer::ERROR_OF_TWICE * traced.relative_error()
-            ),
+    let (chosen, relative_error) = (transfer_level(found), traced.relative_error());
+    let bounced = found.transfer.bounced.as_ref();
+    Decision::Transfer {
+        chosen,
+        vertices: traced.vertices() as u32,
+        rays: traced.rays,
+        blocked: traced.mean_blocked(),
+        relative_error,
+        bounced: bounced.map(|b| BouncedLight { bounces: b.bounces, share: b.share, last_share: b.last_share }),
+        next: match chosen {
+            TransferLevel::Diffuse => TransferNext::Visibility,
+            TransferLevel::Shade => TransferNext::GreyBounce { share: model_selection::grey_bounce(traced) },
+            TransferLevel::Gi => TransferNext::TwiceRays { relative_error: transfer::ERROR_OF_TWICE * relative_error },
         },
     }
 }

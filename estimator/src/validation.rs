@@ -9,7 +9,8 @@ use crate::specular::{Gloss, Reflection};
 use firmware_config::{EstimatorConfig, Switch};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
-use recordings::result::{Decision, WitnessError};
+use recordings::decision::Decision;
+use recordings::result::WitnessError;
 use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose, Response};
 
 /// Pixels of a frame that are looked at, along each side: every so manieth.
@@ -89,21 +90,15 @@ pub fn compare(model: &Model, setting: &Setting, frame: &Keyframe, config: &Esti
 #[must_use]
 pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decision> {
     let mean = |of: &dyn Fn(&Compared) -> f64| compared.iter().map(of).sum::<f64>() / compared.len() as f64;
-    let (lit, model) = (mean(&|c| c.error.lit_psnr_db), mean(&|c| c.error.model_psnr_db));
-    let own = mean(&|c| c.own_psnr_db);
-    (!compared.is_empty()).then(|| Decision {
-        name: "witnesses".into(),
-        choice: if config.refine_poses == Switch::Off { "as tracked" } else { "from the pose that each tells" }.into(),
-        evidence: format!(
-            "{} frames that no step used: {lit:.1} dB from the lit colours, {model:.1} dB from the model; from the poses \
-             they were tracked at, {:.1} px off, {:.1} and {:.1} dB",
-            compared.len(),
-            mean(&|c| c.moved_px),
-            mean(&|c| c.as_tracked[0]),
-            mean(&|c| c.as_tracked[1]),
-        ),
-        cost: format!("{} frames rendered", compared.len()),
-        next_level: format!("their own colours on this mesh: {own:.1} dB, more takes smaller triangles or truer ones"),
+    (!compared.is_empty()).then(|| Decision::Witnesses {
+        frames: compared.len() as u32,
+        refined: config.refine_poses != Switch::Off,
+        lit_psnr_db: mean(&|c| c.error.lit_psnr_db),
+        model_psnr_db: mean(&|c| c.error.model_psnr_db),
+        moved_px: mean(&|c| c.moved_px),
+        tracked_lit_psnr_db: mean(&|c| c.as_tracked[0]),
+        tracked_model_psnr_db: mean(&|c| c.as_tracked[1]),
+        own_psnr_db: mean(&|c| c.own_psnr_db),
     })
 }
 

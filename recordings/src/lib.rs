@@ -3,6 +3,8 @@
 
 mod camera;
 pub mod codec;
+pub mod decision;
+pub mod decision_text;
 pub mod error;
 pub mod import;
 pub mod ply;

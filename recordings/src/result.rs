@@ -3,10 +3,11 @@
 use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
 use crate::codec::connectivity::{self, Traversal};
 use crate::codec::vertices;
+use crate::decision::{Cut, Decision, DecisionText, TransferLevel, Warning};
 use crate::error::{Error, Result};
 use crate::scan::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
-use crate::v1::{EstimateV1, LightV1, from_bytes, to_bytes};
+use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -20,13 +21,20 @@ const TRIANGLES: Tag = *b"TRIA";
 const VERTICES: Tag = *b"VERT";
 /// Costs of the decisions: programs that do not know it skip it.
 const COSTS: Tag = *b"COST";
-const KNOWN: &[(Tag, u32)] =
-    &[(HEAD, 1 << 26), (LIGHT, 1 << 24), (TRIANGLES, 1 << 30), (VERTICES, 1 << 30), (COSTS, 1 << 20)];
+/// Decisions, cuts and warnings as figures. Programs that do not know it, or a variant in it, read the sentences in the head.
+const FINDINGS: Tag = *b"FIND";
+const KNOWN: &[(Tag, u32)] = &[
+    (HEAD, 1 << 26),
+    (LIGHT, 1 << 24),
+    (TRIANGLES, 1 << 30),
+    (VERTICES, 1 << 30),
+    (COSTS, 1 << 20),
+    (FINDINGS, 1 << 20),
+];
+/// What the chunk of findings holds.
+type Findings = (Vec<Decision>, Vec<Cut>, Vec<Warning>);
 /// Rows of coefficients at nine bands.
 const MAX_COEFFICIENTS: usize = 81;
-
-/// Beginning of a cut that was not planned: a stage that the budget ended half-way.
-pub const ABANDONED: &str = "abandoned: ";
 
 /// Distant light as real orthonormal spherical harmonics (no Condon–Shortley phase, index `l*(l+1)+m`, world axes):
 /// radiance towards the surface from direction ω is `Σ_k coefficients[k] Y_k(ω)`.
@@ -82,21 +90,6 @@ pub struct ResultKeyframe {
     pub residual_px: f64,
 }
 
-/// A choice that cost or saved time, with its evidence.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Decision {
-    /// What was decided ("bands", "transfer", "exposure" …).
-    pub name: String,
-    /// What was chosen.
-    pub choice: String,
-    /// The evidence, with figures.
-    pub evidence: String,
-    /// What the choice cost, in counts of work; empty in results of older programs.
-    pub cost: String,
-    /// What the next level up would have brought.
-    pub next_level: String,
-}
-
 /// How well a frame that no estimation step used is predicted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WitnessError {
@@ -133,15 +126,14 @@ pub struct Estimate {
     pub segments: Vec<Segment>,
     /// Keyframes, order as in the scan.
     pub keyframes: Vec<ResultKeyframe>,
-    /// Transfer level used: "diffuse", "shade" or "gi".
-    pub transfer: String,
+    /// Transfer level used.
+    pub transfer: TransferLevel,
     /// What was decided, and why.
     pub decisions: Vec<Decision>,
-    /// What was cut for the budget; empty if nothing. A stage that had to be given up half-way begins with
-    /// [`ABANDONED`].
-    pub cuts: Vec<String>,
-    /// Things the user should know ("light_not_distant: …", "one keyframe: …").
-    pub warnings: Vec<String>,
+    /// What was cut for the budget; empty if nothing.
+    pub cuts: Vec<Cut>,
+    /// What limits the trust in this result.
+    pub warnings: Vec<Warning>,
     /// The rule that fixed the free albedo × light factor.
     pub albedo_scale_rule: String,
     /// Prediction error on the witness frames.
@@ -156,26 +148,35 @@ impl Estimate {
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
-        let mut chunks: [Option<Vec<u8>>; 5] = Default::default();
+        let mut chunks: [Option<Vec<u8>>; 6] = Default::default();
         let mut payload = Vec::new();
         while let Some(tag) = file.next(&mut payload)? {
             if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
                 chunks[slot] = Some(std::mem::take(&mut payload));
             }
         }
-        let [Some(head), Some(light), Some(triangles), Some(vertices), costs] = chunks else {
+        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings] = chunks else {
             return Err(invalid("a part is missing".into()));
         };
-        let mut estimate = Self::from_chunks(&head, &light, &triangles, &vertices).map_err(invalid)?;
-        if let Some(costs) = costs {
-            let (costs, _) = from_bytes::<Vec<String>>(&costs).map_err(invalid)?;
-            estimate.decisions.iter_mut().zip(costs).for_each(|(d, cost)| d.cost = cost);
+        let mut estimate =
+            Self::from_chunks(&head, &light, &triangles, &vertices, costs.as_deref()).map_err(invalid)?;
+        // A variant of a newer program leaves the sentences in place.
+        if let Some((findings, _)) = findings.as_deref().and_then(|f| from_bytes::<Findings>(f).ok()) {
+            (estimate.decisions, estimate.cuts, estimate.warnings) = findings;
         }
         Ok(estimate)
     }
 
-    fn from_chunks(head: &[u8], light: &[u8], triangles: &[u8], vertices: &[u8]) -> std::result::Result<Self, String> {
+    fn from_chunks(
+        head: &[u8],
+        light: &[u8],
+        triangles: &[u8],
+        vertices: &[u8],
+        costs: Option<&[u8]>,
+    ) -> std::result::Result<Self, String> {
         let (head, _) = from_bytes::<EstimateV1>(head)?;
+        let costs = costs.map_or(Ok(Vec::new()), |c| from_bytes::<Vec<String>>(c).map(|(costs, _)| costs))?;
+        let costs = costs.into_iter().chain(std::iter::repeat(String::new()));
         let (light, _) = from_bytes::<LightV1>(light)?;
         let (triangles, order) = vertices::unpack_triangles(triangles)?;
         let vertices = vertices::unpack(vertices, &order)?;
@@ -190,10 +191,15 @@ impl Estimate {
             light: light.into(),
             segments: head.segments.into_iter().map(Into::into).collect(),
             keyframes: head.keyframes.into_iter().map(TryInto::try_into).collect::<std::result::Result<_, _>>()?,
-            transfer: head.transfer,
-            decisions: head.decisions.into_iter().map(Into::into).collect(),
-            cuts: head.cuts,
-            warnings: head.warnings,
+            transfer: head.transfer.parse()?,
+            decisions: head
+                .decisions
+                .into_iter()
+                .zip(costs)
+                .map(|(d, cost)| Decision::Text(d.with_cost(cost)))
+                .collect(),
+            cuts: head.cuts.into_iter().map(Cut::Text).collect(),
+            warnings: head.warnings.into_iter().map(Warning::Text).collect(),
             albedo_scale_rule: head.albedo_scale_rule,
             witnesses: head.witnesses.into_iter().map(Into::into).collect(),
         };
@@ -208,15 +214,16 @@ impl Estimate {
     pub fn write(&self, path: &Path) -> Result<()> {
         let refuse = |problem: String| Error::invalid(path, problem, "this result cannot be stored");
         self.check().map_err(refuse)?;
+        let texts: Vec<DecisionText> = self.decisions.iter().map(Decision::text).collect();
         let head = EstimateV1 {
             name: self.name.clone(),
             response: self.response.into(),
             segments: self.segments.iter().map(Into::into).collect(),
             keyframes: self.keyframes.iter().map(Into::into).collect(),
-            transfer: self.transfer.clone(),
-            decisions: self.decisions.iter().map(Into::into).collect(),
-            cuts: self.cuts.clone(),
-            warnings: self.warnings.clone(),
+            transfer: self.transfer.to_string(),
+            decisions: texts.iter().map(DecisionV1::from).collect(),
+            cuts: self.cuts.iter().map(ToString::to_string).collect(),
+            warnings: self.warnings.iter().map(ToString::to_string).collect(),
             albedo_scale_rule: self.albedo_scale_rule.clone(),
             witnesses: self.witnesses.iter().map(Into::into).collect(),
         };
@@ -226,8 +233,9 @@ impl Estimate {
         file.write(LIGHT, &[&to_bytes(&LightV1::from(&self.light)).map_err(refuse)?])?;
         file.write(TRIANGLES, &[&vertices::pack_triangles(&codes, self.mesh.triangles.len(), &order)])?;
         file.write(VERTICES, &[&vertices::pack(self, &order).map_err(refuse)?])?;
-        let costs: Vec<&String> = self.decisions.iter().map(|d| &d.cost).collect();
+        let costs: Vec<&String> = texts.iter().map(|t| &t.cost).collect();
         file.write(COSTS, &[&to_bytes(&costs).map_err(refuse)?])?;
+        file.write(FINDINGS, &[&to_bytes(&(&self.decisions, &self.cuts, &self.warnings)).map_err(refuse)?])?;
         file.finish()
     }
 
@@ -349,6 +357,22 @@ mod tests {
         let one = Mesh { positions: vec![Vec3::ONE], normals: vec![], triangles: vec![[0; 3]] };
         let (_dir, path) = written(&estimate_on(one.clone()));
         assert_eq!(Estimate::read(&path).unwrap().mesh, one);
+    }
+
+    /// As a program of the next version may write it: a variant that this one does not know.
+    #[test]
+    fn findings_of_a_newer_program_are_read_as_sentences() {
+        let estimate = estimate_on(bumpy_mesh(4));
+        let (_dir, path) = written(&estimate);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let payload = bytes.windows(4).position(|w| w == FINDINGS).unwrap() + 12;
+        bytes = resealed(&bytes, payload + 1, 200);
+        std::fs::write(&path, bytes).unwrap();
+        let read = Estimate::read(&path).unwrap();
+        let texts = |e: &Estimate| e.decisions.iter().map(Decision::text).collect::<Vec<_>>();
+        assert_eq!(texts(&read), texts(&estimate));
+        assert_eq!(read.cuts, [Cut::Text(estimate.cuts[0].to_string())]);
+        assert_eq!(read.warnings, [Warning::Text(estimate.warnings[0].to_string())]);
     }
 
     #[test]

@@ -1,8 +1,12 @@
 //! What the unit tests share.
 
 use crate::codec::image::encode_depth_png;
+use crate::decision::{
+    BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, ResponseTest, TransferLevel,
+    TransferNext, Warning,
+};
 use crate::recording::Event;
-use crate::result::{Decision, Estimate, Light, ResultKeyframe, Segment, WitnessError};
+use crate::result::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::{CaptureStats, Scan, ScanSource};
 use crate::types::{
     Accelerometer, CameraModel, ColorEncoding, ColorFrame, DepthFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose,
@@ -108,6 +112,82 @@ pub(crate) fn scan() -> Scan {
     }
 }
 
+/// Decisions of every kind.
+pub(crate) fn decisions() -> Vec<Decision> {
+    let no = String::new;
+    let old = DecisionText { name: "old".into(), choice: no(), evidence: no(), cost: no(), next_level: no() };
+    let response =
+        |stated, values, test| Decision::Response { stated, values, min_exposure_ratio: 1.5, min_shared: 200, test };
+    let test = ResponseTest { alternative: Response::Gamma(2.2), stated_change: 0.012, alternative_change: 0.234 };
+    let specular = |cleaned, glossy, exposure_change, without_gloss, with_gloss| Decision::Specular {
+        cleaned,
+        segments: 7,
+        glossy,
+        exposure_change,
+        without_gloss,
+        with_gloss,
+    };
+    let transfer = |chosen, rays, blocked, relative_error, bounced, next| Decision::Transfer {
+        chosen,
+        vertices: 10_000,
+        rays,
+        blocked,
+        relative_error,
+        bounced,
+        next,
+    };
+    let bounced = BouncedLight { bounces: 8, share: 0.1, last_share: 5e-4 };
+    vec![
+        Decision::Text(old),
+        response(Response::Srgb, 900, Some(test)),
+        response(Response::Gamma(2.2), 0, None),
+        Decision::Exposure { chosen: ExposureModel::Scalar, none: 0.5, scalar: 0.25, rgb: 0.24, patches: 70 },
+        Decision::Pose { refined: true, steps_px: vec![0.52, 0.13], first_residual: 0.031, last_residual: 0.022 },
+        Decision::Bands {
+            chosen: 3,
+            held_out: vec![(3, 0.01), (5, 0.0099)],
+            condition: 120.0,
+            next: Some(BandsGain { bands: 5, gain: 1e-4, standard_error: 2e-4 }),
+        },
+        Decision::RaysWithoutGloss {
+            chosen: 256,
+            before: 128,
+            held_out: 0.05,
+            error_before: 0.02,
+            error: 0.014,
+            vertices: 10_000,
+        },
+        specular(false, 0, None, None, vec![]),
+        specular(false, 2, None, Some(0.1), vec![0.12]),
+        specular(true, 2, Some(0.004), Some(0.1), vec![0.09, 0.095]),
+        Decision::BandsWithoutGloss {
+            chosen: 5,
+            first: 3,
+            before: 3,
+            tried: 5,
+            error_before: 0.09,
+            errors: vec![0.08, 0.081],
+        },
+        Decision::DistantLight {
+            holds: false,
+            position: PositionEvidence { explained: 0.3, change: 0.09 },
+            vertices: 5000,
+        },
+        Decision::Witnesses {
+            frames: 4,
+            refined: true,
+            lit_psnr_db: 30.0,
+            model_psnr_db: 28.0,
+            moved_px: 1.5,
+            tracked_lit_psnr_db: 25.0,
+            tracked_model_psnr_db: 24.0,
+            own_psnr_db: 35.0,
+        },
+        transfer(TransferLevel::Diffuse, 0, 0.005, 0.0, None, TransferNext::Visibility),
+        transfer(TransferLevel::Gi, 128, 0.2, 0.02, Some(bounced), TransferNext::TwiceRays { relative_error: 0.014 }),
+    ]
+}
+
 /// A result on a mesh, with two segments and noisy colours.
 pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
     let n = mesh.positions.len() as u32;
@@ -138,16 +218,10 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
             camera: sensor().color,
             residual_px: 0.25,
         }],
-        transfer: "gi".into(),
-        decisions: vec![Decision {
-            name: "bands".into(),
-            choice: "3".into(),
-            evidence: "held-out error 0.01".into(),
-            cost: "9 unknowns a channel".into(),
-            next_level: "0.0099".into(),
-        }],
-        cuts: vec!["bounces".into()],
-        warnings: vec![],
+        transfer: TransferLevel::Gi,
+        decisions: decisions(),
+        cuts: vec![Cut::Witnesses { predicted: 1, of: 2 }],
+        warnings: vec![Warning::OneKeyframe],
         albedo_scale_rule: "mean 0.5".into(),
         witnesses: vec![WitnessError { name: "w".into(), lit_psnr_db: 30.0, model_psnr_db: 28.0, coverage: 0.8 }],
         mesh,

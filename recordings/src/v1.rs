@@ -1,6 +1,7 @@
 //! What stands in our files, version 1. These structs are never edited: a new version stands beside them.
 
-use crate::result::{Decision, Light, ResultKeyframe, Segment, WitnessError};
+use crate::decision::DecisionText;
+use crate::result::{Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::{CaptureStats, ScanSource};
 use crate::types::{CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Pose, Response, Sensor};
 use glam::{DQuat, DVec3};
@@ -327,17 +328,17 @@ pub(crate) struct DecisionV1 {
     next_level: String,
 }
 
-impl From<&Decision> for DecisionV1 {
-    fn from(d: &Decision) -> Self {
-        let Decision { name, choice, evidence, next_level, .. } = d.clone();
+impl From<&DecisionText> for DecisionV1 {
+    fn from(d: &DecisionText) -> Self {
+        let DecisionText { name, choice, evidence, next_level, .. } = d.clone();
         Self { name, choice, evidence, next_level }
     }
 }
 
-impl From<DecisionV1> for Decision {
-    fn from(d: DecisionV1) -> Self {
-        let DecisionV1 { name, choice, evidence, next_level } = d;
-        Self { name, choice, evidence, cost: String::new(), next_level }
+impl DecisionV1 {
+    pub fn with_cost(self, cost: String) -> DecisionText {
+        let Self { name, choice, evidence, next_level } = self;
+        DecisionText { name, choice, evidence, cost, next_level }
     }
 }
 

@@ -11,6 +11,7 @@ use estimator::rays::RayScene;
 use estimator::segmentation;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::Vec3;
+use recordings::decision::Decision;
 use recordings::import::photos::import_photos;
 use recordings::scan::Scan;
 use recordings::types::Pose;
@@ -156,7 +157,10 @@ fn a_witness_is_predicted_better_with_exposure_and_pose() {
         let config = EstimatorConfig { refine_poses, exposure, rays: 32, bands: 3, ..Default::default() };
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
         let result = estimate(&scan, &config, &options, &()).expect("a result");
-        assert!(result.decisions.iter().any(|d| d.name == "witnesses"), "what limits them is said");
+        assert!(
+            result.decisions.iter().any(|d| matches!(d, Decision::Witnesses { frames: 1, .. })),
+            "what limits them is said"
+        );
         (result.witnesses[0].lit_psnr_db, result.witnesses[0].model_psnr_db)
     };
     let with = predicted(Switch::Auto, ExposureChoice::Auto);

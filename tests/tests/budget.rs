@@ -8,7 +8,8 @@ use estimator::estimate_on;
 use estimator::stages;
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
-use recordings::result::{ABANDONED, Estimate};
+use recordings::decision::{Cut, Reduction};
+use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Mutex;
 use std::time::Duration;
@@ -79,10 +80,18 @@ fn slower_machines_cut_in_order_and_keep_the_budget() {
         let now = machine.now();
         println!("{speed} of the reference, {budget} s: {now:.1} s, cuts {:?}", e.cuts);
         assert!(now <= budget, "{now} s of {budget}");
-        let cut = |what: &str| e.cuts.iter().any(|c| c.starts_with(what));
-        assert!(!cut("vertices") || cut("rays"), "rays before vertices: {:?}", e.cuts);
-        assert!(!cut("rays") || cut("bounces"), "bounces before rays: {:?}", e.cuts);
-        assert!(!e.cuts.iter().any(|c| c.starts_with(ABANDONED)), "planned, not abandoned: {:?}", e.cuts);
+        let cut = |is: fn(&Cut) -> bool| e.cuts.iter().any(is);
+        let vertices = cut(|c| matches!(c, Cut::Planned { what: Reduction::Vertices { .. }, .. }));
+        let bounces = cut(|c| matches!(c, Cut::Planned { what: Reduction::Bounces { .. }, .. }));
+        let rays = cut(|c| {
+            matches!(
+                c,
+                Cut::Planned { what: Reduction::Rays { .. }, .. } | Cut::FewerRays { .. } | Cut::LateRays { .. }
+            )
+        });
+        assert!(!vertices || rays, "rays before vertices: {:?}", e.cuts);
+        assert!(!rays || bounces, "bounces before rays: {:?}", e.cuts);
+        assert!(!e.cuts.iter().any(Cut::is_abandoned), "planned, not abandoned: {:?}", e.cuts);
         assert!(e.cuts.len() >= last, "a slower machine cuts no less");
         last = e.cuts.len();
     }
@@ -117,7 +126,7 @@ fn a_machine_that_is_halted_again_and_again_is_slow() {
     let now = machine.now();
     println!("a quarter of 0.2 of the reference: {now:.1} s, cuts {:?}", e.cuts);
     assert!(now <= 30.0, "{now} s");
-    assert!(!e.cuts.iter().any(|c| c.starts_with(ABANDONED)), "planned, not abandoned: {:?}", e.cuts);
+    assert!(!e.cuts.iter().any(Cut::is_abandoned), "planned, not abandoned: {:?}", e.cuts);
 }
 
 #[test]
@@ -136,7 +145,7 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     let machine = Simulated::new(0.2, &[]);
     let options = options(cut);
     let mut plan = Plan::new(&machine, &options, &config, size);
-    let is_cut = |plan: &Plan| plan.cuts().iter().any(|c| c.starts_with("specular"));
+    let is_cut = |plan: &Plan| plan.cuts().iter().any(|c| matches!(c, Cut::Planned { what: Reduction::Specular, .. }));
     assert!(is_cut(&plan), "{:?}", plan.cuts());
     plan.mesh_done(scan.mesh.positions.len());
     plan.association_done();
@@ -157,12 +166,12 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     assert!(!watch(0.15), "at this pace they would take minutes");
     drop(watch);
     assert_eq!(plan.fewer_rays(64, 0), Some(16));
-    assert!(plan.cuts().iter().any(|c| c.starts_with("rays: 16")), "{:?}", plan.cuts());
+    assert!(plan.cuts().contains(&Cut::LateRays { rays: 16, instead_of: 64 }), "{:?}", plan.cuts());
     stall(19.5);
     assert_eq!(plan.fewer_rays(256, 64), None, "a quarter of them is there already");
-    assert!(plan.cuts().iter().any(|c| c.starts_with("rays: 64")), "{:?}", plan.cuts());
+    assert!(plan.cuts().contains(&Cut::LateRays { rays: 64, instead_of: 256 }), "{:?}", plan.cuts());
     assert_eq!(plan.fewer_rays(16, 0), None, "no time for any");
-    assert!(plan.cuts().iter().any(|c| c.starts_with(ABANDONED)), "{:?}", plan.cuts());
+    assert!(plan.cuts().iter().any(Cut::is_abandoned), "{:?}", plan.cuts());
 }
 
 /// Rounds replace the clock: whatever the machine does, the bytes are the same.

@@ -6,6 +6,7 @@ use estimator::rays::RayScene;
 use estimator::transfer::{self, Transfer};
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
+use recordings::decision::{TransferLevel, Warning};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use recordings::types::Mesh;
@@ -54,7 +55,7 @@ fn black_and_clipped_pictures_are_believed_in_nothing() {
 #[test]
 fn one_keyframe_gives_an_answer_and_a_warning() {
     let e = run(&scan(globe(16, 0.5, 1.0), 1, 2.0, shaded)).expect("an answer");
-    assert!(e.warnings.iter().any(|w| w.contains("one keyframe")), "{:?}", e.warnings);
+    assert!(e.warnings.contains(&Warning::OneKeyframe), "{:?}", e.warnings);
     assert!(e.confidence.contains(&0.0), "its back was never seen");
     assert!(e.confidence.iter().any(|c| *c > 0.1), "its front was");
 }
@@ -62,7 +63,7 @@ fn one_keyframe_gives_an_answer_and_a_warning() {
 #[test]
 fn a_wall_has_neither_bounces_nor_gloss() {
     let e = run(&scan(wall(24, 1.0), 3, 1.5, |_, _| [128; 3])).expect("an answer");
-    assert!(e.transfer != "gi", "a flat wall reflects nothing onto itself: {}", e.transfer);
+    assert!(e.transfer != TransferLevel::Gi, "a flat wall reflects nothing onto itself: {}", e.transfer);
     assert!(e.segments.iter().all(|s| s.w_s == 0.0), "nothing tells gloss on it");
 }
 

@@ -14,7 +14,7 @@ use estimator::EstimateError;
 use estimator::Options;
 use estimator::Progress;
 use firmware_config::Config;
-use recordings::result::ABANDONED;
+use recordings::decision::Cut;
 use recordings::scan::Scan;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -81,13 +81,9 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
 }
 
 /// A planned cut is a decision; a stage that had to be given up half-way is not.
-fn abandoned(cuts: &[String]) -> Result<(), Failure> {
-    let stages: Vec<&str> = cuts.iter().filter_map(|c| c.strip_prefix(ABANDONED)).collect();
-    if stages.is_empty() {
-        Ok(())
-    } else {
-        Err(Failure::Abandoned(format!("abandoned for the budget: {}", stages.join(", "))))
-    }
+fn abandoned(cuts: &[Cut]) -> Result<(), Failure> {
+    let stages: Vec<String> = cuts.iter().filter(|c| c.is_abandoned()).map(ToString::to_string).collect();
+    if stages.is_empty() { Ok(()) } else { Err(Failure::Abandoned(format!("{}; raise --budget", stages.join(", ")))) }
 }
 
 /// `result.lres` for `scan.lscan`, as in the device folder; otherwise of the same stem.
@@ -105,11 +101,11 @@ mod tests {
 
     #[test]
     fn only_abandoned_stages_are_a_failure() {
-        assert!(abandoned(&["rays: 32 instead of 128".into()]).is_ok());
-        let failure =
-            abandoned(&["rays: 32".into(), format!("{ABANDONED}specular after 3 of 9 segments")]).unwrap_err();
+        let fewer = Cut::FewerRays { rays: 32, instead_of: 128 };
+        assert!(abandoned(std::slice::from_ref(&fewer)).is_ok());
+        let failure = abandoned(&[fewer, Cut::AbandonedTransfer { rays: 64 }]).unwrap_err();
         assert_eq!(failure.code(), 5);
-        assert!(failure.to_string().contains("specular after 3 of 9 segments"));
+        assert!(failure.to_string().contains("transfer with 64 rays"));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use crate::commands::output::print;
 use crate::commands::output::print_json;
 use crate::failure::Failure;
 use recordings::codec::chunk::kind_of;
+use recordings::decision_text::Findings;
 use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};
 use recordings::result::Estimate;
 use recordings::scan::{Scan, ScanSource};
@@ -59,6 +60,7 @@ fn scan(s: &Scan) -> Value {
 }
 
 fn result(r: &Estimate) -> Value {
+    let findings = Findings::new(&r.decisions, &r.cuts, &r.warnings);
     json!({
         "kind": "result",
         "name": r.name,
@@ -67,9 +69,11 @@ fn result(r: &Estimate) -> Value {
         "segments": r.segments.len(),
         "bands": r.light.bands(),
         "transfer": r.transfer,
-        "decisions": r.decisions,
-        "cuts": r.cuts,
-        "warnings": r.warnings,
+        "decisions": findings.decisions,
+        "cuts": findings.cuts,
+        "cut_values": findings.cut_values,
+        "warnings": findings.warnings,
+        "warning_values": findings.warning_values,
         "keyframes": r.keyframes.len(),
         "witnesses": r.witnesses,
         "albedo_scale_rule": r.albedo_scale_rule,
@@ -86,7 +90,7 @@ fn lines(value: &Value, depth: usize) -> String {
     let Value::Object(fields) = value else { return format!("{indent}{}\n", leaf(value)) };
     let width = fields.keys().map(String::len).max().unwrap_or(0);
     let mut text = String::new();
-    for (key, value) in fields {
+    for (key, value) in fields.iter().filter(for_people) {
         match value {
             Value::Object(inner) if inner.len() > 3 => {
                 text += &format!("{indent}{key}\n{}", lines(value, depth + 1));
@@ -106,11 +110,19 @@ fn lines(value: &Value, depth: usize) -> String {
     text
 }
 
+/// False for figures that stand in a sentence beside them.
+fn for_people((key, _): &(&String, &Value)) -> bool {
+    !key.ends_with("_values")
+}
+
 fn leaf(value: &Value) -> String {
     match value {
         Value::String(s) => s.clone(),
         Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
-        Value::Object(fields) => fields.iter().map(|(k, v)| format!("{k} {}", leaf(v))).collect::<Vec<_>>().join(" · "),
+        Value::Object(fields) => {
+            let fields = fields.iter().filter(for_people).map(|(k, v)| format!("{k} {}", leaf(v)));
+            fields.collect::<Vec<_>>().join(" · ")
+        }
         Value::Array(items) if items.is_empty() => "none".into(),
         Value::Array(items) => items.iter().map(leaf).collect::<Vec<_>>().join(", "),
         other => other.to_string(),

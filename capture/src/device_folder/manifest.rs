@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use recordings::crc32_of_file;
-use recordings::result::Decision;
+use recordings::decision_text::Findings;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
 use std::path::Path;
@@ -67,12 +67,9 @@ pub struct EstimatorEntry {
     pub problem: Option<String>,
     /// Vertices of the result's mesh.
     pub vertices: usize,
-    /// What was decided, and why.
-    pub decisions: Vec<Decision>,
-    /// What was cut for the budget.
-    pub cuts: Vec<String>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
+    /// What was decided, cut and warned of.
+    #[serde(flatten)]
+    pub findings: Findings,
     /// Seconds of wall time by stage.
     pub seconds: Vec<(String, f64)>,
     /// Peak resident memory.

@@ -11,6 +11,7 @@ use crate::memory;
 use crate::pipeline::Captured;
 use crate::report::Reporter;
 use crate::stop::Stop;
+use recordings::decision_text::Findings;
 use recordings::result::Estimate;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime};
@@ -74,9 +75,7 @@ fn estimate(
             Ok(estimate) => {
                 entry.outcome = if failure.is_none() { "done" } else { "partial" };
                 entry.vertices = estimate.mesh.positions.len();
-                entry.decisions = estimate.decisions;
-                entry.cuts = estimate.cuts;
-                entry.warnings = estimate.warnings;
+                entry.findings = Findings::new(&estimate.decisions, &estimate.cuts, &estimate.warnings);
             }
             Err(e) => failure = failure.or(Some(Failure::Internal(e.to_string()))),
         }

@@ -10,7 +10,7 @@ use firmware_config::ExposureChoice;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
-use recordings::result::Decision;
+use recordings::decision::{Decision, ExposureModel};
 use recordings::types::Mesh;
 
 /// Edge of a patch in median edges.
@@ -70,27 +70,16 @@ pub fn solve(
             let use_rgb = three < 0.9 * one;
             // No gains at all, if gains predict the held-out patches no better.
             let use_none = none <= one && !use_rgb;
-            let decision = Decision {
-                name: "exposure".into(),
-                choice: if use_rgb {
-                    "rgb"
-                } else if use_none {
-                    "none"
-                } else {
-                    "scalar"
-                }
-                .into(),
-                evidence: format!(
-                    "disagreement of held-out patches (0 to 1): none {none:.4}, scalar {one:.4}, rgb {three:.4}"
-                ),
-                cost: format!("{} patches", all.len()),
-                next_level: if use_rgb {
-                    String::new()
-                } else if use_none {
-                    format!("one gain a keyframe: {one:.4}")
-                } else {
-                    format!("rgb gains: {three:.4}")
+            let decision = Decision::Exposure {
+                chosen: match (use_rgb, use_none) {
+                    (true, _) => ExposureModel::Rgb,
+                    (false, true) => ExposureModel::None,
+                    (false, false) => ExposureModel::Scalar,
                 },
+                none,
+                scalar: one,
+                rgb: three,
+                patches: all.len() as u32,
             };
             if use_none {
                 return (neutral, Some(decision));

@@ -16,7 +16,7 @@ use crate::rays::RayScene;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
-use recordings::result::Decision;
+use recordings::decision::Decision;
 use recordings::types::{Keyframe, Mesh, Pose, Response};
 
 const CHUNK: usize = 4096;
@@ -285,7 +285,7 @@ pub fn associate_within(
         views,
         observations,
         offsets: field.offsets,
-        decisions: decision.into_iter().chain(tracker.decision(refine)).collect(),
+        decisions: decision.into_iter().chain([tracker.decision(refine)]).collect(),
         dark_below: config.dark_below as f32,
     }
 }

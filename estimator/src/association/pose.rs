@@ -8,7 +8,7 @@ use crate::numerics::robust::median;
 use glam::{DVec3, Vec3};
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
-use recordings::result::Decision;
+use recordings::decision::Decision;
 use recordings::types::{Keyframe, Pose};
 
 /// Gauss–Newton steps at one level.
@@ -119,20 +119,13 @@ impl Tracker {
     }
 
     /// What was decided, and why.
-    pub fn decision(&self, refined: bool) -> Option<Decision> {
-        let steps: Vec<String> = self.history.iter().map(|s| format!("{s:.2}")).collect();
-        Some(Decision {
-            name: "pose".into(),
-            choice: if refined { "refined" } else { "off" }.into(),
-            evidence: format!(
-                "RMS step per round in pixels: {}; residual of edge pixels {:.4} at first, {:.4} at last",
-                steps.join(", "),
-                self.first_residual,
-                self.last_residual,
-            ),
-            cost: format!("{} rounds", steps.len()),
-            next_level: steps.last().map_or(String::new(), |s| format!("another round: a step of less than {s} px")),
-        })
+    pub fn decision(&self, refined: bool) -> Decision {
+        Decision::Pose {
+            refined,
+            steps_px: self.history.clone(),
+            first_residual: self.first_residual,
+            last_residual: self.last_residual,
+        }
     }
 }
 

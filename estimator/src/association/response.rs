@@ -5,7 +5,7 @@
 
 use crate::association::Association;
 use crate::numerics::robust::median;
-use recordings::result::Decision;
+use recordings::decision::{Decision, ResponseTest, Warning};
 use recordings::types::Response;
 use std::collections::BTreeMap;
 
@@ -23,47 +23,30 @@ const TOLERATED: f64 = 0.03;
 const CLEARLY: f64 = 2.0;
 
 /// The decision for the result, and a warning where another response fits better.
-pub fn verify(association: &Association, response: &Response) -> (Decision, Option<String>) {
+pub fn verify(association: &Association, response: &Response) -> (Decision, Option<Warning>) {
     let shared = shared(association, response);
-    let stated = text(response);
-    let points: usize = shared.values().map(Vec::len).sum();
-    let decision = |choice: &str, evidence: String| Decision {
-        name: "response".into(),
-        choice: choice.into(),
-        evidence,
-        cost: format!("{points} values compared"),
-        next_level: "a response that is measured with a grey card".into(),
+    let stated = *response;
+    let values: usize = shared.values().map(Vec::len).sum();
+    let test = (!shared.is_empty()).then(|| {
+        // All powers pass alike, so one stands for them.
+        let alternative = if stated == Response::Srgb { Response::Gamma(2.2) } else { Response::Srgb };
+        ResponseTest {
+            alternative,
+            stated_change: change(&shared, &stated),
+            alternative_change: change(&shared, &alternative),
+        }
+    });
+    let contradicted =
+        |t: &ResponseTest| t.stated_change > TOLERATED && t.stated_change >= CLEARLY * t.alternative_change;
+    let warning = test.filter(contradicted).map(|t| Warning::ResponseMismatch { stated, better: t.alternative });
+    let decision = Decision::Response {
+        stated,
+        values: values as u32,
+        min_exposure_ratio: LEAST_RATIO,
+        min_shared: LEAST_SHARED as u32,
+        test,
     };
-    if shared.is_empty() {
-        let evidence = format!("not verified: no two keyframes share {LEAST_SHARED} points at exposures 1.5 × apart");
-        return (decision(&stated, evidence), None);
-    }
-    // All powers pass alike, so one stands for them.
-    let (other, name) = if *response == Response::Srgb {
-        (Response::Gamma(2.2), "linear or gamma:2.2")
-    } else {
-        (Response::Srgb, "srgb")
-    };
-    let (own, theirs) = (change(&shared, response), change(&shared, &other));
-    let evidence = format!(
-        "{points} values seen at exposures 1.5 × apart or more: the factor between them changes by {:.1} % from dark to \
-         bright with {stated}, by {:.1} % with {name}",
-        100.0 * own,
-        100.0 * theirs
-    );
-    if own <= TOLERATED || own < CLEARLY * theirs {
-        return (decision(&stated, evidence), None);
-    }
-    let warning = format!("the colour response {stated} does not fit the pictures; {name} does: set camera.response");
-    (decision(&stated, evidence), Some(warning))
-}
-
-fn text(response: &Response) -> String {
-    match response {
-        Response::Srgb => "srgb".into(),
-        Response::Linear => "linear".into(),
-        Response::Gamma(gamma) => format!("gamma:{gamma}"),
-    }
+    (decision, warning)
 }
 
 /// Two keyframes and a channel → values (0..1) of the same points in both.
@@ -188,6 +171,6 @@ mod tests {
     #[test]
     fn what_cannot_be_told_is_not_claimed() {
         let (decision, warning) = verify(&association(Response::Srgb, Response::Srgb, 1.3), &Response::Srgb);
-        assert!(warning.is_none() && decision.evidence.contains("not verified"), "{decision:?}");
+        assert!(warning.is_none() && matches!(decision, Decision::Response { test: None, .. }), "{decision:?}");
     }
 }

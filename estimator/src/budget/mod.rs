@@ -9,7 +9,7 @@ use crate::budget::cost_model::Size;
 use crate::numerics::sh;
 use firmware_config::{EstimatorConfig, Quality, Switch};
 use rayon::prelude::*;
-use recordings::result::ABANDONED;
+use recordings::decision::{Cut, Reduction};
 use std::time::Instant;
 
 /// Rays of one round.
@@ -43,10 +43,6 @@ const PROBE_SHARE: f64 = 0.04;
 const AGAIN: f64 = 0.2;
 /// The budget cannot bind if all is done in this share of it.
 const CLEARLY_ENOUGH: f64 = 0.125;
-
-/// How cuts of the scan itself begin, which stay when others are taken back.
-const VERTICES_CUT: &str = "vertices: ";
-const KEYFRAMES_CUT: &str = "keyframes: ";
 
 /// What tells the time. On a simulated machine, time passes as work is reported.
 pub trait Machine: Sync {
@@ -174,33 +170,24 @@ impl Shape {
         Some(next)
     }
 
-    /// What the step from `before` to this cut, in words.
-    fn cuts_from(&self, before: &Self, full: &Size) -> Vec<String> {
-        let mut cuts = Vec::new();
-        let count = |n: u32| if n == 0 { "as many as matter".into() } else { n.to_string() };
-        if self.bounces != before.bounces {
-            let (now, before) = (self.bounces, count(before.bounces));
-            cuts.push(format!("bounces: {now} instead of {before}, the rest in proportion"));
-        }
-        if self.rays != before.rays {
-            cuts.push(format!("rays: {} per vertex instead of {}", self.rays, before.rays));
-        }
-        if self.pose_rounds != before.pose_rounds {
-            cuts.push(format!("pose refinement: {} rounds instead of {}", self.pose_rounds, before.pose_rounds));
-        }
-        if self.specular != before.specular {
-            cuts.push("specular: not looked for".into());
-        }
-        if self.bands != before.bands {
-            cuts.push(format!("bands: at most {} instead of {}", self.bands, before.bands));
-        }
-        if self.keyframe_stride != before.keyframe_stride {
-            cuts.push(format!("{KEYFRAMES_CUT}every {}nd of {:.0}", self.keyframe_stride, full.keyframes));
-        }
-        if self.vertices < before.vertices {
-            cuts.push(format!("{VERTICES_CUT}about {} instead of {:.0}", self.vertices, before.size(full).vertices));
-        }
-        cuts
+    /// What the step from `before` to this reduced.
+    fn reductions_from(&self, before: &Self, full: &Size) -> Vec<Reduction> {
+        let bands = |s: &Self| s.bands as u32;
+        let vertices = |s: &Self| s.size(full).vertices as u32;
+        let reduced = [
+            (self.bounces != before.bounces)
+                .then(|| Reduction::Bounces { to: self.bounces, from: (before.bounces > 0).then_some(before.bounces) }),
+            (self.rays != before.rays).then_some(Reduction::Rays { to: self.rays, from: before.rays }),
+            (self.pose_rounds != before.pose_rounds)
+                .then_some(Reduction::PoseRounds { to: self.pose_rounds, from: before.pose_rounds }),
+            (self.specular != before.specular).then_some(Reduction::Specular),
+            (self.bands != before.bands).then(|| Reduction::Bands { to: bands(self), from: bands(before) }),
+            (self.keyframe_stride != before.keyframe_stride)
+                .then_some(Reduction::Keyframes { stride: self.keyframe_stride as u32, of: full.keyframes as u32 }),
+            (self.vertices < before.vertices)
+                .then(|| Reduction::Vertices { to: self.vertices as u32, from: vertices(before) }),
+        ];
+        reduced.into_iter().flatten().collect()
     }
 }
 
@@ -215,12 +202,12 @@ pub struct Plan<'a> {
     /// Reference seconds of work done since the probe, and when it ended.
     work: f64,
     since: f64,
-    /// All that was asked for, what is planned of it, and what that leaves out, in words.
+    /// All that was asked for, what is planned of it, and what that leaves out.
     full: Shape,
     shape: Shape,
-    planned: Vec<String>,
-    /// What was cut for good, in words.
-    cut: Vec<String>,
+    planned: Vec<Cut>,
+    /// What was cut for good.
+    cut: Vec<Cut>,
 }
 
 impl<'a> Plan<'a> {
@@ -246,14 +233,14 @@ impl<'a> Plan<'a> {
         self.shape
     }
 
-    /// What was cut, in words.
+    /// What was cut.
     #[must_use]
-    pub fn cuts(&self) -> Vec<String> {
+    pub fn cuts(&self) -> Vec<Cut> {
         self.planned.iter().chain(&self.cut).cloned().collect()
     }
 
     /// Notes something that was left out for want of time.
-    pub fn leave_out(&mut self, what: String) {
+    pub fn leave_out(&mut self, what: Cut) {
         self.cut.push(what);
     }
 
@@ -322,8 +309,8 @@ impl<'a> Plan<'a> {
 
     fn take(&mut self, shape: Shape) {
         let speed = self.speed();
-        let told = |cut| format!("{cut} (planned for a machine {speed:.2} times as fast as the reference)");
-        self.planned = shape.cuts_from(&self.full, &self.size).into_iter().map(told).collect();
+        let reductions = shape.reductions_from(&self.full, &self.size);
+        self.planned = reductions.into_iter().map(|what| Cut::Planned { what, speed }).collect();
         self.shape = shape;
     }
 
@@ -343,7 +330,7 @@ impl<'a> Plan<'a> {
         (self.shape.vertices, self.full.vertices) = (vertices, vertices);
         self.full.keyframe_stride = self.shape.keyframe_stride;
         // The mesh is what it is from now on, and so are the keyframes.
-        let is_fixed = |cut: &String| cut.starts_with(VERTICES_CUT) || cut.starts_with(KEYFRAMES_CUT);
+        let is_fixed = |cut: &Cut| matches!(cut, Cut::Planned { what, .. } if what.is_of_scan());
         let (fixed, planned) = std::mem::take(&mut self.planned).into_iter().partition(is_fixed);
         (self.cut, self.planned) = (fixed, planned);
     }
@@ -441,15 +428,15 @@ impl<'a> Plan<'a> {
     pub fn fewer_rays(&mut self, rays: u32, have: u32) -> Option<u32> {
         let fewer = rays / 4;
         if have > 0 && fewer <= have {
-            self.cut.push(format!("rays: {have} per vertex, since {rays} were not there in time"));
+            self.cut.push(Cut::LateRays { rays: have, instead_of: rays });
             self.shape.rays = have;
             return None;
         }
         if fewer < LEAST_RAYS || self.machine.now() > self.rays_until() {
-            self.cut.push(format!("{ABANDONED}transfer with {rays} rays per vertex"));
+            self.cut.push(Cut::AbandonedTransfer { rays });
             return None;
         }
-        self.cut.push(format!("rays: {fewer} per vertex, since {rays} were not there in time"));
+        self.cut.push(Cut::LateRays { rays: fewer, instead_of: rays });
         self.shape.rays = fewer;
         Some(fewer)
     }
@@ -475,7 +462,7 @@ impl<'a> Plan<'a> {
             }
         }
         if rays < wanted {
-            self.cut.push(format!("rays: {rays} per vertex instead of {wanted}"));
+            self.cut.push(Cut::FewerRays { rays, instead_of: wanted });
         }
         // What was planned before anything was known of the scene no longer counts.
         self.full.rays = rays;
@@ -518,7 +505,7 @@ impl<'a> Plan<'a> {
         let size = self.shape.size(&self.size);
         let fits = cost_model::specular(&size, bands) + cost_model::output(&size) <= self.left();
         if self.shape.specular && !fits {
-            self.cut.push("specular: not looked for".into());
+            self.cut.push(Cut::Specular);
         }
         self.shape.specular && fits
     }

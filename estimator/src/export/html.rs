@@ -92,10 +92,11 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
             "albedo": s.albedo, "w_d": finite(s.w_d), "w_s": finite(s.w_s), "w_s_error": finite(s.w_s_error),
             "share": f64::from(s.vertices) / total,
         })).collect::<Vec<_>>(),
-        "decisions": result.decisions.iter().map(|d| json!({
-            "name": d.name, "choice": d.choice, "evidence": d.evidence, "cost": d.cost, "next": d.next_level,
-        })).collect::<Vec<_>>(),
-        "warnings": result.warnings, "cuts": result.cuts, "timings": timings,
+        "decisions": result.decisions.iter().map(|d| {
+            let d = d.text();
+            json!({ "name": d.name, "choice": d.choice, "evidence": d.evidence, "cost": d.cost, "next": d.next_level })
+        }).collect::<Vec<_>>(),
+        "warnings": texts(&result.warnings), "cuts": texts(&result.cuts), "timings": timings,
         "keyframes": result.keyframes.iter().zip(pictures.iter().map(Some).chain(std::iter::repeat(None))).map(|(k, p)| {
             let i = &k.camera.intrinsics;
             json!({
@@ -117,6 +118,10 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         .replace("/*FACTS*/", &facts)
         .replace("/*DATA*/", &base64(&data))
         .replace("/*SCRIPT*/", &format!("\"use strict\";\n(() => {{\n{}}})();\n", SCRIPT.concat())))
+}
+
+fn texts<T: ToString>(of: &[T]) -> Vec<String> {
+    of.iter().map(ToString::to_string).collect()
 }
 
 fn flat<T, const N: usize>(values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {

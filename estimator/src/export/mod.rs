@@ -32,6 +32,7 @@ fn write_whole(path: &Path, fill: impl FnOnce(&File) -> Result<()>) -> Result<()
 #[cfg(test)]
 pub(crate) mod testing {
     use glam::{DQuat, DVec3, Vec3};
+    use recordings::decision::TransferLevel;
     use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
     use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
 
@@ -69,7 +70,7 @@ pub(crate) mod testing {
                 keyframe("keyframes/a.png", 1_305_031_102_175_304_000, 2.0, 0.0),
                 keyframe("keyframes/b.png", 1_305_031_102_275_304_000, 0.5, 0.25),
             ],
-            transfer: "diffuse".into(),
+            transfer: TransferLevel::Diffuse,
             decisions: vec![],
             cuts: vec![],
             warnings: vec![],

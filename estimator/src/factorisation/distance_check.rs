@@ -6,7 +6,7 @@ use crate::factorisation::robust_solver::held_out_block;
 use firmware_config::tuning::DistanceCheckTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
-use recordings::result::Decision;
+use recordings::decision::{Decision, PositionEvidence, Warning};
 use recordings::types::Mesh;
 
 /// Vertices that are looked at, at most.
@@ -30,25 +30,12 @@ pub fn check(
     segment: &[u32],
     found: &Factorised,
     tuning: &DistanceCheckTuning,
-) -> (Decision, Vec<String>) {
+) -> (Decision, Option<Warning>) {
     let samples = samples(mesh, fields, segment, found);
-    let (explained, changed) = position_share(&samples);
-    let contradicted = explained > tuning.explained_share && changed > tuning.changed_log;
-    let evidence = format!(
-        "position explains {:.0} % of what light and albedo leave unexplained at equal normals, on vertices left out; it \
-         changes the light by {:.0} %",
-        100.0 * explained,
-        100.0 * changed,
-    );
-    let warning = format!("light_not_distant: {evidence}");
-    let decision = Decision {
-        name: "distant light".into(),
-        choice: if contradicted { "contradicted" } else { "holds" }.into(),
-        evidence,
-        cost: format!("{} vertices", samples.len()),
-        next_level: "light that depends on position is not modelled".into(),
-    };
-    (decision, if contradicted { vec![warning] } else { Vec::new() })
+    let position = position_share(&samples);
+    let contradicted = position.explained > tuning.explained_share && position.change > tuning.changed_log;
+    let decision = Decision::DistantLight { holds: !contradicted, position, vertices: samples.len() as u32 };
+    (decision, contradicted.then_some(Warning::LightNotDistant(position)))
 }
 
 /// One vertex: its segment, terms, log residual, whether it takes part in the fit.
@@ -100,8 +87,11 @@ fn samples(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factorise
         .collect()
 }
 
+/// Evidence where nothing can be fitted.
+const UNEXPLAINED: PositionEvidence = PositionEvidence { explained: 0.0, change: 0.0 };
+
 /// Share of the left-out residual that position explains beyond the normal, and the standard deviation of its part.
-fn position_share(samples: &[Sample]) -> (f64, f64) {
+fn position_share(samples: &[Sample]) -> PositionEvidence {
     let segments = samples.iter().map(|s| s.segment as usize + 1).max().unwrap_or(0);
     let mut centered: Vec<(bool, [f64; NORMAL_TERMS + POSITION_TERMS], f64)> = Vec::with_capacity(samples.len());
     for s in 0..segments {
@@ -134,7 +124,7 @@ fn position_share(samples: &[Sample]) -> (f64, f64) {
         normal.cholesky().map(|c| c.solve(&target))
     };
     let (Some(with), Some(without)) = (fit(NORMAL_TERMS + POSITION_TERMS), fit(NORMAL_TERMS)) else {
-        return (0.0, 0.0);
+        return UNEXPLAINED;
     };
     let predict = |x: &DVector<f64>, terms: &[f64], from: usize| -> f64 {
         x.iter().zip(terms).skip(from).map(|(x, t)| x * t).sum()
@@ -147,7 +137,7 @@ fn position_share(samples: &[Sample]) -> (f64, f64) {
         count += 1.0;
     }
     if left <= 0.0 || count < 1.0 {
-        return (0.0, 0.0);
+        return UNEXPLAINED;
     }
-    ((1.0 - better / left).max(0.0), libm::sqrt(part / count))
+    PositionEvidence { explained: (1.0 - better / left).max(0.0), change: libm::sqrt(part / count) }
 }

@@ -166,6 +166,7 @@ fn facts(scan: &Scan, result: &Estimate) -> Vec<String> {
         let _ = writeln!(text, "witness {}: lit {lit:.1} dB, model {model:.1} dB", w.name);
     }
     for d in &result.decisions {
+        let d = d.text();
         let _ = writeln!(text, "{}: {}", d.name, d.choice);
     }
     for cut in &result.cuts {

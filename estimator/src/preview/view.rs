@@ -5,6 +5,7 @@ use crate::numerics::sh;
 use crate::rays::RayScene;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
+use recordings::decision::TransferLevel;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::{Intrinsics, RgbImage};
 
@@ -106,10 +107,10 @@ impl<'a> View<'a> {
         let mut irradiance = Vec3::ZERO;
         for d in directions {
             let d = to_world * *d;
-            let hit = if r.transfer == "diffuse" { None } else { scene.closest_hit(origin, d) };
+            let hit = if r.transfer == TransferLevel::Diffuse { None } else { scene.closest_hit(origin, d) };
             irradiance += match hit {
                 None => self.light(d),
-                Some(hit) if r.transfer == "gi" => {
+                Some(hit) if r.transfer == TransferLevel::Gi => {
                     let [a, b, c] = r.mesh.triangles[hit.triangle as usize].map(|k| r.lit_color[k as usize]);
                     a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
                 }

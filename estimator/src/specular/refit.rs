@@ -7,7 +7,7 @@ use crate::rays::RayScene;
 use crate::specular::material;
 use crate::specular::{self, Gloss, Prediction, Reflection};
 use glam::Vec3;
-use recordings::result::Decision;
+use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
@@ -43,20 +43,13 @@ pub fn refit(
     let fit = |found: &Factorised, fields: &Association| {
         specular::fit(&reflection(mesh, scene, found), fields, segment, segments)
     };
-    let decision = |choice: &str, evidence: String, factorisations: usize, next_level: String| Decision {
-        name: "specular".into(),
-        choice: choice.into(),
-        evidence,
-        cost: format!("{segments} segments fitted, {factorisations} factorisations"),
-        next_level,
-    };
     let matte = vec![Gloss::NONE; segments];
     let mut gloss = fit(&found, fields);
-    let mut exposed = String::new();
+    let mut exposure_change = None;
     if gloss.iter().any(|g| g.significant) {
         let is_matte: Vec<bool> = segment.iter().map(|s| !gloss[*s as usize].significant).collect();
         if let Some(moved) = fields.expose_by(&is_matte, mesh, scene.median_edge()) {
-            exposed = format!("; exposures by matte segments alone differ by {moved:.4} (RMS of logs)");
+            exposure_change = Some(moved);
             if moved > WORTHWHILE_GAIN {
                 let colors = colors(&fields.lit_color, fields, segment, segments);
                 found = factorise(Arc::clone(&found.transfer.traced), &colors, settings, None);
@@ -65,9 +58,16 @@ pub fn refit(
         }
     }
     let glossy = gloss.iter().filter(|g| g.significant).count();
+    let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
+        cleaned,
+        segments: segments as u32,
+        glossy: glossy as u32,
+        exposure_change,
+        without_gloss,
+        with_gloss,
+    };
     if glossy == 0 {
-        let evidence = format!("no weight stands out of its error in {segments} segments{exposed}");
-        return (found, gloss, vec![decision("none", evidence, 0, String::new())]);
+        return (found, gloss, vec![decision(false, None, Vec::new())]);
     }
 
     let judge = |f: &Factorised, gloss: &[Gloss]| {
@@ -103,45 +103,29 @@ pub fn refit(
     if holds {
         again(&mut best, &mut told, PASSES - 1);
     }
-    let evidence = format!(
-        "{glossy} of {segments} segments; mean relative error against the keyframes: {:.4} without gloss, {} with \
-         it{exposed}",
-        without.error(),
-        list(&told),
-    );
+    let mut decisions = vec![decision(holds, Some(without.error()), told)];
     if !holds {
-        let next_level = format!("without gloss: {:.4} instead of {:.4}", told[0], without.error());
-        return (found, matte, vec![decision("none", evidence, told.len(), next_level)]);
+        return (found, matte, decisions);
     }
-    let next_level = match told.last() {
-        Some(last) if *last > best.prediction.error() => format!("once more: {last:.4}"),
-        _ => String::new(),
-    };
-    let mut decisions =
-        vec![decision("lit colours cleaned of gloss and factorised once more", evidence, told.len(), next_level)];
     let first = best.settings.bands;
     while best.settings.bands + 2 <= settings.most_bands {
         let before = best.settings.bands;
-        let mut errors = vec![best.prediction.error()];
+        let error_before = best.prediction.error();
         let more = Settings { bands: before + 2, ..best.settings };
         let mut trial = cleaned(&best.found, &best.gloss, more);
-        errors.push(trial.prediction.error());
+        let mut errors = vec![trial.prediction.error()];
         again(&mut trial, &mut errors, PASSES - 1);
         let better = trial.prediction.gain_over(&best.prediction) > SIGNIFICANT_GAIN;
         if better {
             best = trial;
         }
-        decisions.push(Decision {
-            name: "bands without gloss".into(),
-            choice: best.settings.bands.to_string(),
-            evidence: format!(
-                "mean relative error against the keyframes: {:.4} with {before} bands, {} with {}",
-                errors[0],
-                list(&errors[1..]),
-                more.bands,
-            ),
-            cost: format!("{} factorisations", errors.len() - 1),
-            next_level: format!("{first} bands were chosen before gloss was known"),
+        decisions.push(Decision::BandsWithoutGloss {
+            chosen: best.settings.bands as u32,
+            first: first as u32,
+            before: before as u32,
+            tried: more.bands as u32,
+            error_before,
+            errors,
         });
         if !better {
             break;
@@ -150,10 +134,6 @@ pub fn refit(
     fields.lit_color = best.lit_color;
     let gloss = material::pooled(mesh, segment, &best.found.solution.albedo, &best.gloss);
     (best.found, gloss, decisions)
-}
-
-fn list(errors: &[f64]) -> String {
-    errors.iter().map(|e| format!("{e:.4}")).collect::<Vec<_>>().join(", ")
 }
 
 fn colors<'a>(lit_color: &'a [Vec3], fields: &'a Association, segment: &'a [u32], segments: usize) -> Colors<'a> {

@@ -18,6 +18,7 @@ use crate::stages::{self, Ready};
 use crate::transfer::{self, Traced};
 use firmware_config::{EstimatorConfig, Quality, SolverChoice, Switch};
 use glam::Vec3;
+use recordings::decision::TransferLevel;
 use recordings::scan::Scan;
 use std::fmt::Write;
 use std::sync::Arc;
@@ -45,8 +46,8 @@ pub struct Point {
     pub name: String,
     /// SH bands.
     pub bands: usize,
-    /// "diffuse", "shade" or "gi".
-    pub transfer: &'static str,
+    /// Transfer level.
+    pub transfer: TransferLevel,
     /// Rays per vertex; 0 for diffuse.
     pub rays: u32,
     /// Vertices.
@@ -138,10 +139,10 @@ pub fn sweep(
             Arc::new(transfer::trace(mesh, scene, crate::numerics::sh::MAX_BANDS, rays, config.seed, &report))
         });
         if rays == RAYS[0] {
-            BANDS.into_iter().for_each(|bands| run.grid(&mut shared, &open, "diffuse", bands));
+            BANDS.into_iter().for_each(|bands| run.grid(&mut shared, &open, TransferLevel::Diffuse, bands));
             run.literal(&mut shared, &traced);
         }
-        for transfer in ["shade", "gi"] {
+        for transfer in [TransferLevel::Shade, TransferLevel::Gi] {
             BANDS.into_iter().for_each(|bands| run.grid(&mut shared, &traced, transfer, bands));
         }
     }
@@ -215,9 +216,14 @@ impl Sweep<'_> {
         self.point(name, shared, &(settled.traced, spent), settled.settings, settled.start, Some((config, &mut plan)));
     }
 
-    fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: &str, bands: usize) {
-        let settings =
-            Settings { gi: transfer == "gi", bands, most_bands: bands, bounces: 0, solver: SolverChoice::Robust };
+    fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: TransferLevel, bands: usize) {
+        let settings = Settings {
+            gi: transfer == TransferLevel::Gi,
+            bands,
+            most_bands: bands,
+            bounces: 0,
+            solver: SolverChoice::Robust,
+        };
         self.point("grid", shared, traced, settings, None, None);
     }
 

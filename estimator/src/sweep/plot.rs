@@ -2,6 +2,7 @@
 
 use crate::preview::{FAINT, NOTHING, TEXT, fill, page, write_text};
 use crate::sweep::Point;
+use recordings::decision::TransferLevel;
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Stroke, Transform};
 
 /// Size of a panel, and the room around its axes.
@@ -12,7 +13,11 @@ const BOTTOM: u32 = 44;
 const TOP: u32 = 40;
 const RIGHT: u32 = 24;
 /// Colours of diffuse, shade, gi and of everything else.
-const LEVELS: [(&str, [u8; 3]); 3] = [("diffuse", [120, 140, 170]), ("shade", [90, 190, 220]), ("gi", [245, 170, 60])];
+const LEVELS: [(TransferLevel, [u8; 3]); 3] = [
+    (TransferLevel::Diffuse, [120, 140, 170]),
+    (TransferLevel::Shade, [90, 190, 220]),
+    (TransferLevel::Gi, [245, 170, 60]),
+];
 const AUTO: [u8; 3] = [110, 235, 120];
 const PAPER: [u8; 3] = [240, 90, 110];
 
@@ -98,7 +103,7 @@ fn panel(sheet: &mut Pixmap, (x0, y0): (u32, u32), name: &str, points: &[Point])
         write_text(sheet, place, &p.name, color);
     }
     for (i, (level, color)) in (0u32..).zip(LEVELS) {
-        write_text(sheet, (right - 300 + 100 * i, y0 + 12), level, color);
+        write_text(sheet, (right - 300 + 100 * i, y0 + 12), level.name(), color);
     }
 }
 

@@ -1,0 +1,440 @@
+//! Sentences for decisions, cuts and warnings: the one place where they are worded. Programs read the types.
+
+use crate::decision::{
+    BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest, TransferNext,
+    Warning,
+};
+use crate::types::Response;
+use serde::Serialize;
+use std::fmt;
+
+/// Decisions, cuts and warnings as `inspect --json` and `manifest.json` show them: sentences, and the figures in them.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Findings {
+    /// What was decided, and why.
+    pub decisions: Vec<DecisionEntry>,
+    /// What was cut for the budget.
+    pub cuts: Vec<String>,
+    /// The figures of the cuts.
+    pub cut_values: Vec<Cut>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// The figures of the warnings.
+    pub warning_values: Vec<Warning>,
+}
+
+/// A decision as text and figures.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DecisionEntry {
+    /// As text.
+    #[serde(flatten)]
+    pub text: DecisionText,
+    /// The figures; `None` in results that were written before decisions were typed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub evidence_values: Option<Decision>,
+}
+
+impl Findings {
+    /// Words decisions, cuts and warnings.
+    #[must_use]
+    pub fn new(decisions: &[Decision], cuts: &[Cut], warnings: &[Warning]) -> Self {
+        let entry = |d: &Decision| DecisionEntry {
+            text: d.text(),
+            evidence_values: (!matches!(d, Decision::Text(_))).then(|| d.clone()),
+        };
+        Self {
+            decisions: decisions.iter().map(entry).collect(),
+            cuts: cuts.iter().map(ToString::to_string).collect(),
+            cut_values: cuts.to_vec(),
+            warnings: warnings.iter().map(ToString::to_string).collect(),
+            warning_values: warnings.to_vec(),
+        }
+    }
+}
+
+impl Decision {
+    /// The decision in sentences.
+    #[must_use]
+    pub fn text(&self) -> DecisionText {
+        if let Self::Text(text) = self {
+            return text.clone();
+        }
+        DecisionText {
+            name: self.name().into(),
+            choice: self.choice(),
+            evidence: self.evidence(),
+            cost: self.cost(),
+            next_level: self.next_level(),
+        }
+    }
+
+    /// What was decided.
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Text(_) => "",
+            Self::Response { .. } => "response",
+            Self::Exposure { .. } => "exposure",
+            Self::Pose { .. } => "pose",
+            Self::Bands { .. } => "bands",
+            Self::RaysWithoutGloss { .. } => "rays without gloss",
+            Self::Specular { .. } => "specular",
+            Self::BandsWithoutGloss { .. } => "bands without gloss",
+            Self::DistantLight { .. } => "distant light",
+            Self::Witnesses { .. } => "witnesses",
+            Self::Transfer { .. } => "transfer",
+        }
+    }
+
+    fn choice(&self) -> String {
+        match self {
+            Self::Text(text) => text.choice.clone(),
+            Self::Response { stated, .. } => stated.to_string(),
+            Self::Exposure { chosen, .. } => match chosen {
+                ExposureModel::None => "none".into(),
+                ExposureModel::Scalar => "scalar".into(),
+                ExposureModel::Rgb => "rgb".into(),
+            },
+            Self::Pose { refined, .. } => if *refined { "refined" } else { "off" }.into(),
+            Self::Bands { chosen, .. }
+            | Self::RaysWithoutGloss { chosen, .. }
+            | Self::BandsWithoutGloss { chosen, .. } => chosen.to_string(),
+            Self::Specular { cleaned: true, .. } => "lit colours cleaned of gloss and factorised once more".into(),
+            Self::Specular { cleaned: false, .. } => "none".into(),
+            Self::DistantLight { holds, .. } => if *holds { "holds" } else { "contradicted" }.into(),
+            Self::Witnesses { refined: true, .. } => "from the pose that each tells".into(),
+            Self::Witnesses { refined: false, .. } => "as tracked".into(),
+            Self::Transfer { chosen, .. } => chosen.to_string(),
+        }
+    }
+
+    fn evidence(&self) -> String {
+        match self {
+            Self::Text(text) => text.evidence.clone(),
+            Self::Response { values, min_exposure_ratio: ratio, test: Some(test), stated, .. } => {
+                let ResponseTest { alternative, stated_change, alternative_change } = test;
+                format!(
+                    "{values} values seen at exposures {ratio} × apart or more: the factor between them changes by {:.1} % \
+                     from dark to bright with {stated}, by {:.1} % with {}",
+                    100.0 * stated_change,
+                    100.0 * alternative_change,
+                    family(*alternative),
+                )
+            }
+            Self::Response { min_exposure_ratio: ratio, min_shared, test: None, .. } => {
+                format!("not verified: no two keyframes share {min_shared} points at exposures {ratio} × apart")
+            }
+            Self::Exposure { none, scalar, rgb, .. } => {
+                format!("disagreement of held-out patches (0 to 1): none {none:.4}, scalar {scalar:.4}, rgb {rgb:.4}")
+            }
+            Self::Pose { steps_px, first_residual, last_residual, .. } => format!(
+                "RMS step per round in pixels: {}; residual of edge pixels {first_residual:.4} at first, \
+                 {last_residual:.4} at last",
+                list(steps_px, 2),
+            ),
+            Self::Bands { held_out, condition, .. } => {
+                let tried: Vec<String> = held_out.iter().map(|(n, e)| format!("{n}: {e:.4}")).collect();
+                format!(
+                    "mean relative error on vertices left out, by bands: {}; condition {condition:.1e}",
+                    tried.join(", ")
+                )
+            }
+            Self::RaysWithoutGloss { chosen, before, held_out, error_before, error, .. } => format!(
+                "mean relative error on vertices left out: {held_out:.4} without gloss; relative standard error of the \
+                 transfer: {error_before:.4} with {before} rays, {error:.4} with {chosen}"
+            ),
+            Self::Specular { segments, glossy, exposure_change, without_gloss, with_gloss, .. } => {
+                let exposed = exposure_change.map_or(String::new(), |moved| {
+                    format!("; exposures by matte segments alone differ by {moved:.4} (RMS of logs)")
+                });
+                match without_gloss {
+                    None => format!("no weight stands out of its error in {segments} segments{exposed}"),
+                    Some(without) => format!(
+                        "{glossy} of {segments} segments; mean relative error against the keyframes: {without:.4} without \
+                         gloss, {} with it{exposed}",
+                        list(with_gloss, 4),
+                    ),
+                }
+            }
+            Self::BandsWithoutGloss { before, tried, error_before, errors, .. } => format!(
+                "mean relative error against the keyframes: {error_before:.4} with {before} bands, {} with {tried}",
+                list(errors, 4),
+            ),
+            Self::DistantLight { position, .. } => position.to_string(),
+            Self::Witnesses {
+                frames,
+                lit_psnr_db: lit,
+                model_psnr_db: model,
+                moved_px,
+                tracked_lit_psnr_db: tracked_lit,
+                tracked_model_psnr_db: tracked_model,
+                ..
+            } => format!(
+                "{frames} frames that no step used: {lit:.1} dB from the lit colours, {model:.1} dB from the model; from \
+                 the poses they were tracked at, {moved_px:.1} px off, {tracked_lit:.1} and {tracked_model:.1} dB"
+            ),
+            Self::Transfer { rays, blocked, relative_error, bounced, .. } => {
+                let bounced = bounced.map_or(String::new(), |BouncedLight { bounces, share, last_share }| {
+                    let (share, last) = (100.0 * share, 100.0 * last_share);
+                    format!("; {bounces} bounces bring {share:.1} % of the light, the last {last:.2} %")
+                });
+                format!(
+                    "{:.1} % of the rays are blocked{bounced}; {rays} rays a vertex, relative standard error \
+                     {relative_error:.3}",
+                    100.0 * blocked
+                )
+            }
+        }
+    }
+
+    fn cost(&self) -> String {
+        match self {
+            Self::Text(text) => text.cost.clone(),
+            Self::Response { values, .. } => format!("{values} values compared"),
+            Self::Exposure { patches, .. } => format!("{patches} patches"),
+            Self::Pose { steps_px, .. } => format!("{} rounds", steps_px.len()),
+            Self::Bands { chosen, .. } => format!("{} unknowns a channel", chosen * chosen),
+            Self::RaysWithoutGloss { chosen: rays, vertices, .. } | Self::Transfer { rays, vertices, .. } => {
+                format!("{:.1} million rays", f64::from(*vertices) * f64::from(*rays) / 1e6)
+            }
+            Self::Specular { segments, with_gloss, .. } => {
+                format!("{segments} segments fitted, {} factorisations", with_gloss.len())
+            }
+            Self::BandsWithoutGloss { errors, .. } => format!("{} factorisations", errors.len()),
+            Self::DistantLight { vertices, .. } => format!("{vertices} vertices"),
+            Self::Witnesses { frames, .. } => format!("{frames} frames rendered"),
+        }
+    }
+
+    fn next_level(&self) -> String {
+        match self {
+            Self::Text(text) => text.next_level.clone(),
+            Self::Response { .. } => "a response that is measured with a grey card".into(),
+            Self::Exposure { chosen, scalar, rgb, .. } => match chosen {
+                ExposureModel::None => format!("one gain a keyframe: {scalar:.4}"),
+                ExposureModel::Scalar => format!("rgb gains: {rgb:.4}"),
+                ExposureModel::Rgb => String::new(),
+            },
+            Self::Pose { steps_px, .. } => {
+                steps_px.last().map_or(String::new(), |s| format!("another round: a step of less than {s:.2} px"))
+            }
+            Self::Bands { next, .. } => next.map_or(String::new(), |n| {
+                format!("{} bands: held-out error lower by {:.5} ± {:.5}", n.bands, n.gain, n.standard_error)
+            }),
+            Self::RaysWithoutGloss { before, .. } => format!("{before} rays were chosen before gloss was known"),
+            Self::Specular { cleaned: false, without_gloss: Some(without), with_gloss, .. } => with_gloss
+                .first()
+                .map_or(String::new(), |with| format!("without gloss: {with:.4} instead of {without:.4}")),
+            Self::Specular { with_gloss, .. } => match with_gloss[..] {
+                [.., best, last] if last > best => format!("once more: {last:.4}"),
+                _ => String::new(),
+            },
+            Self::BandsWithoutGloss { first, .. } => format!("{first} bands were chosen before gloss was known"),
+            Self::DistantLight { .. } => "light that depends on position is not modelled".into(),
+            Self::Witnesses { own_psnr_db: own, .. } => {
+                format!("their own colours on this mesh: {own:.1} dB, more takes smaller triangles or truer ones")
+            }
+            Self::Transfer { next, .. } => match next {
+                TransferNext::Visibility => "visibility: less than the colours err".into(),
+                TransferNext::GreyBounce { share } => {
+                    format!("one bounce between mid-grey surfaces: {:.2} % of the light", 100.0 * share)
+                }
+                TransferNext::TwiceRays { relative_error } => {
+                    format!("twice the rays: relative standard error about {relative_error:.3}")
+                }
+            },
+        }
+    }
+}
+
+impl fmt::Display for Cut {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::Planned { what, speed } => {
+                write!(f, "{what} (planned for a machine {speed:.2} times as fast as the reference)")
+            }
+            Self::FewerRays { rays, instead_of } => write!(f, "rays: {rays} per vertex instead of {instead_of}"),
+            Self::LateRays { rays, instead_of } => {
+                write!(f, "rays: {rays} per vertex, since {instead_of} were not there in time")
+            }
+            Self::Specular => f.write_str("specular: not looked for"),
+            Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
+            Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),
+        }
+    }
+}
+
+impl fmt::Display for Reduction {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Bounces { to, from } => {
+                let from = from.map_or("as many as matter".into(), |n| n.to_string());
+                write!(f, "bounces: {to} instead of {from}, the rest in proportion")
+            }
+            Self::Rays { to, from } => write!(f, "rays: {to} per vertex instead of {from}"),
+            Self::PoseRounds { to, from } => write!(f, "pose refinement: {to} rounds instead of {from}"),
+            Self::Specular => f.write_str("specular: not looked for"),
+            Self::Bands { to, from } => write!(f, "bands: at most {to} instead of {from}"),
+            Self::Keyframes { stride, of } => write!(f, "keyframes: every {stride}nd of {of}"),
+            Self::Vertices { to, from } => write!(f, "vertices: about {to} instead of {from}"),
+        }
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::ResponseMismatch { stated, better } => write!(
+                f,
+                "the colour response {stated} does not fit the pictures; {} does: set camera.response",
+                family(*better)
+            ),
+            Self::LightNotDistant(evidence) => write!(f, "light_not_distant: {evidence}"),
+            Self::OneKeyframe => f.write_str("one keyframe: exposure, pose and gloss cannot be told"),
+            Self::UnseenLight { directions } => write!(
+                f,
+                "light: {directions} of the 3 directions of its first band are not told by these surfaces; the rest of the \
+                 light cannot be seen from here"
+            ),
+        }
+    }
+}
+
+impl fmt::Display for PositionEvidence {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(
+            f,
+            "position explains {:.0} % of what light and albedo leave unexplained at equal normals, on vertices left out; \
+             it changes the light by {:.0} %",
+            100.0 * self.explained,
+            100.0 * self.change
+        )
+    }
+}
+
+impl fmt::Display for Response {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Srgb => f.write_str("srgb"),
+            Self::Linear => f.write_str("linear"),
+            Self::Gamma(gamma) => write!(f, "gamma:{gamma}"),
+        }
+    }
+}
+
+/// The responses that pass the test of exposures where this one does: all powers do alike.
+fn family(response: Response) -> &'static str {
+    match response {
+        Response::Srgb => "srgb",
+        Response::Linear | Response::Gamma(_) => "linear or gamma:2.2",
+    }
+}
+
+fn list(values: &[f64], digits: usize) -> String {
+    values.iter().map(|x| format!("{x:.digits$}")).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::decision::TransferLevel;
+    use crate::testing::decisions;
+
+    fn line(d: &Decision) -> String {
+        let DecisionText { name, choice, evidence, cost, next_level } = d.text();
+        format!("{name} | {choice} | {evidence} | {cost} | {next_level}")
+    }
+
+    /// Programs read these strings from `inspect --json` and `manifest.json`: they stay.
+    #[test]
+    fn decisions_keep_their_wording() {
+        let lines: Vec<String> = decisions().iter().map(line).collect();
+        assert_eq!(
+            lines,
+            [
+                "old |  |  |  | ",
+                "response | srgb | 900 values seen at exposures 1.5 × apart or more: the factor between them changes by \
+                 1.2 % from dark to bright with srgb, by 23.4 % with linear or gamma:2.2 | 900 values compared | a response \
+                 that is measured with a grey card",
+                "response | gamma:2.2 | not verified: no two keyframes share 200 points at exposures 1.5 × apart | 0 values \
+                 compared | a response that is measured with a grey card",
+                "exposure | scalar | disagreement of held-out patches (0 to 1): none 0.5000, scalar 0.2500, rgb 0.2400 | 70 \
+                 patches | rgb gains: 0.2400",
+                "pose | refined | RMS step per round in pixels: 0.52, 0.13; residual of edge pixels 0.0310 at first, 0.0220 \
+                 at last | 2 rounds | another round: a step of less than 0.13 px",
+                "bands | 3 | mean relative error on vertices left out, by bands: 3: 0.0100, 5: 0.0099; condition 1.2e2 | 9 \
+                 unknowns a channel | 5 bands: held-out error lower by 0.00010 ± 0.00020",
+                "rays without gloss | 256 | mean relative error on vertices left out: 0.0500 without gloss; relative \
+                 standard error of the transfer: 0.0200 with 128 rays, 0.0140 with 256 | 2.6 million rays | 128 rays were \
+                 chosen before gloss was known",
+                "specular | none | no weight stands out of its error in 7 segments | 7 segments fitted, 0 factorisations | ",
+                "specular | none | 2 of 7 segments; mean relative error against the keyframes: 0.1000 without gloss, 0.1200 \
+                 with it | 7 segments fitted, 1 factorisations | without gloss: 0.1200 instead of 0.1000",
+                "specular | lit colours cleaned of gloss and factorised once more | 2 of 7 segments; mean relative error \
+                 against the keyframes: 0.1000 without gloss, 0.0900, 0.0950 with it; exposures by matte segments alone \
+                 differ by 0.0040 (RMS of logs) | 7 segments fitted, 2 factorisations | once more: 0.0950",
+                "bands without gloss | 5 | mean relative error against the keyframes: 0.0900 with 3 bands, 0.0800, 0.0810 \
+                 with 5 | 2 factorisations | 3 bands were chosen before gloss was known",
+                "distant light | contradicted | position explains 30 % of what light and albedo leave unexplained at equal \
+                 normals, on vertices left out; it changes the light by 9 % | 5000 vertices | light that depends on \
+                 position is not modelled",
+                "witnesses | from the pose that each tells | 4 frames that no step used: 30.0 dB from the lit colours, 28.0 \
+                 dB from the model; from the poses they were tracked at, 1.5 px off, 25.0 and 24.0 dB | 4 frames rendered | \
+                 their own colours on this mesh: 35.0 dB, more takes smaller triangles or truer ones",
+                "transfer | diffuse | 0.5 % of the rays are blocked; 0 rays a vertex, relative standard error 0.000 | 0.0 \
+                 million rays | visibility: less than the colours err",
+                "transfer | gi | 20.0 % of the rays are blocked; 8 bounces bring 10.0 % of the light, the last 0.05 %; 128 \
+                 rays a vertex, relative standard error 0.020 | 1.3 million rays | twice the rays: relative standard error \
+                 about 0.014",
+            ]
+        );
+    }
+
+    #[test]
+    fn cuts_and_warnings_keep_their_wording() {
+        let planned = |what| Cut::Planned { what, speed: 0.5 };
+        let said = |text: &dyn fmt::Display| text.to_string();
+        let speed = "(planned for a machine 0.50 times as fast as the reference)";
+        for (what, words) in [
+            (
+                Reduction::Bounces { to: 2, from: None },
+                "bounces: 2 instead of as many as matter, the rest in proportion",
+            ),
+            (Reduction::Rays { to: 32, from: 128 }, "rays: 32 per vertex instead of 128"),
+            (Reduction::PoseRounds { to: 0, from: 4 }, "pose refinement: 0 rounds instead of 4"),
+            (Reduction::Specular, "specular: not looked for"),
+            (Reduction::Bands { to: 5, from: 9 }, "bands: at most 5 instead of 9"),
+            (Reduction::Keyframes { stride: 2, of: 30 }, "keyframes: every 2nd of 30"),
+            (Reduction::Vertices { to: 7000, from: 10_000 }, "vertices: about 7000 instead of 10000"),
+        ] {
+            assert_eq!(said(&planned(what)), format!("{words} {speed}"));
+        }
+        let late = Cut::LateRays { rays: 16, instead_of: 64 };
+        assert_eq!(said(&late), "rays: 16 per vertex, since 64 were not there in time");
+        assert_eq!(said(&Cut::AbandonedTransfer { rays: 8 }), "abandoned: transfer with 8 rays per vertex");
+        let mismatch = Warning::ResponseMismatch { stated: Response::Srgb, better: Response::Gamma(2.2) };
+        let words = "the colour response srgb does not fit the pictures; linear or gamma:2.2 does: set camera.response";
+        assert_eq!(said(&mismatch), words);
+        assert_eq!(said(&Warning::OneKeyframe), "one keyframe: exposure, pose and gloss cannot be told");
+    }
+
+    #[test]
+    fn programs_get_the_figures_beside_the_words() {
+        let findings = Findings::new(&decisions(), &[Cut::Specular], &[Warning::UnseenLight { directions: 2 }]);
+        let json = serde_json::to_value(&findings).unwrap();
+        assert!(json["decisions"][0].get("evidence_values").is_none(), "an old file has words alone");
+        assert_eq!(json["decisions"][3]["choice"], "scalar");
+        assert_eq!(json["decisions"][3]["evidence_values"]["exposure"]["rgb"], 0.24);
+        assert_eq!(json["cut_values"][0], "specular");
+        assert_eq!(json["warning_values"][0]["unseen_light"]["directions"], 2);
+    }
+
+    #[test]
+    fn transfer_levels_are_read_by_name() {
+        for level in [TransferLevel::Diffuse, TransferLevel::Shade, TransferLevel::Gi] {
+            assert_eq!(level.name().parse(), Ok(level));
+        }
+        assert!("GI".parse::<TransferLevel>().is_err());
+    }
+}
