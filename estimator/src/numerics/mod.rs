@@ -1,6 +1,7 @@
-//! Mathematics that knows no scene: real spherical harmonics ([`sh`]), robust statistics ([`robust`]) and seeded
-//! random directions ([`random`]).
+//! Mathematics independent of scenes: real spherical harmonics ([`sh`]), robust statistics ([`robust`]), seeded random
+//! directions ([`random`]) and CIELAB ([`cielab`]).
 
+pub mod cielab;
 pub mod random;
 pub mod robust;
 pub mod sh;

@@ -1,7 +1,7 @@
 //! Segments that touch and have like albedos are one material cut apart by a crease or a shadow: its gloss is one.
 
 use crate::mesh::graph::Graph;
-use crate::segmentation::lab;
+use crate::numerics::cielab::lab;
 use crate::specular::{Gloss, SIGNIFICANT};
 use glam::Vec3;
 use recordings::types::Mesh;

@@ -4,11 +4,13 @@
 //! that does it.
 
 mod distance_check;
+mod segmentation;
 mod tracking;
 
 use crate::settings::tuning;
 
 pub use distance_check::DistanceCheckTuning;
+pub use segmentation::SegmentationTuning;
 pub use tracking::TrackingTuning;
 
 tuning! {
@@ -16,6 +18,8 @@ tuning! {
     EstimatorTuning {
         /// Check of the distant-light assumption.
         distance_check: DistanceCheckTuning;
+        /// Segmentation into materials.
+        segmentation: SegmentationTuning;
     }
 }
 
