@@ -1,7 +1,7 @@
 //! Radiance transfer (Eq. 8): how much of each coefficient of the light arrives at each vertex, 1/π inside, the vertex's
 //! own albedo outside.
 
-use crate::mesh::vertex_weight::trust;
+use crate::mesh::vertex_weight::vertex_weights;
 use crate::numerics::random::{CosineDirections, hash, unit};
 use crate::numerics::sh;
 use crate::rays::RayScene;
@@ -42,7 +42,7 @@ pub struct Traced {
     /// Estimated error of the first five bands of `direct`, as a norm over them: `[vertex]`.
     pub error: Vec<f32>,
     /// Weight of the vertex in the light's equations: little where its normal is doubtful.
-    pub trust: Vec<f32>,
+    pub vertex_weight: Vec<f32>,
     /// Rays per vertex.
     pub rays: u32,
     /// Hits: one corner of the triangle, drawn by its barycentric weight; those of vertex i are
@@ -86,7 +86,7 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
         direct,
         blocked: vec![0.0; mesh.positions.len()],
         error: vec![0.0; mesh.positions.len()],
-        trust: trust(mesh),
+        vertex_weight: vertex_weights(mesh),
         rays: 0,
         offsets: vec![0; mesh.positions.len() + 1],
         corners: Vec::new(),
@@ -193,7 +193,17 @@ fn trace_holding(
         corners.extend(block);
     }
     let rays = range.end - range.start;
-    Some(Traced { bands, direct, blocked, error, trust: trust(mesh), rays, offsets, corners, hit_rays })
+    Some(Traced {
+        bands,
+        direct,
+        blocked,
+        error,
+        vertex_weight: vertex_weights(mesh),
+        rays,
+        offsets,
+        corners,
+        hit_rays,
+    })
 }
 
 /// What a few rays from about `samples` of the vertices tell.

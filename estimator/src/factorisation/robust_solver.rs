@@ -284,7 +284,8 @@ fn solve_channel(
     let relative = |v: &Vote, predicted: f64, gloss: &[f64]| {
         let size = predicted.max(DARK_FLOOR * medians[v.segment as usize]).max(1e-3 * overall);
         let vertex = v.vertex as usize;
-        let seen = f64::from(observed.lit_weight[vertex]).min(1.0) * f64::from(observed.transfer.traced.trust[vertex]);
+        let seen =
+            f64::from(observed.lit_weight[vertex]).min(1.0) * f64::from(observed.transfer.traced.vertex_weight[vertex]);
         v.share * seen / (size * size * (1.0 + gloss[v.segment as usize]))
     };
     let mut state = match start {

@@ -1,6 +1,6 @@
-//! The scene's surface (§3.1). In: a scanned or imported triangle mesh. Out: a regular mesh of even edge lengths
-//! ([`regularise`]), its vertex adjacency ([`graph`]), a z-buffer of it ([`raster`]) and how far each vertex can be relied
-//! on ([`vertex_weight`]).
+//! The scene's surface (§3.1). In: a scanned or imported triangle mesh. Out: a regular mesh with edges of about one length
+//! ([`regularise`], which edits a [`surface`]), its vertex adjacency ([`graph`]), a z-buffer of it ([`raster`]) and the weight
+//! of each vertex in the equations of light ([`vertex_weight`]).
 
 pub mod graph;
 pub mod raster;

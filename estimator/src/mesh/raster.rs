@@ -1,22 +1,22 @@
-//! Z-buffer rendering of the mesh into a pinhole view: what the centre of every pixel sees first.
+//! Z-buffer of a mesh in a pinhole camera: the first triangle along the ray through every pixel's centre.
 
 use glam::{DVec3, Vec3};
 use recordings::types::{Intrinsics, Mesh, Pose};
 
-/// No triangle.
+/// Index of no triangle.
 pub const MISS: u32 = u32::MAX;
 
-/// One view of a mesh; arrays are row-major, `width * height`.
+/// A rendered view; arrays are row-major, `[height][width]`.
 pub struct Raster {
     /// Pinhole camera.
     pub camera: Intrinsics,
-    /// Triangle seen, or [`MISS`].
+    /// Index of the visible triangle, or [`MISS`].
     pub triangle: Vec<u32>,
-    /// Depth along the optical axis; infinite where nothing is seen.
+    /// Depth along the optical axis in the mesh's units; infinite where no triangle is visible.
     pub depth: Vec<f32>,
 }
 
-/// The pinhole camera with `factor` times as many pixels along each side (pixel centres at integers).
+/// The pinhole camera at `factor` times the resolution (pixel centres at integers).
 pub fn scaled(camera: &Intrinsics, factor: f64) -> Intrinsics {
     Intrinsics {
         width: ((f64::from(camera.width) * factor).round() as u32).max(1),
@@ -28,15 +28,14 @@ pub fn scaled(camera: &Intrinsics, factor: f64) -> Intrinsics {
     }
 }
 
-/// Vertices in the camera's frame (X right, Y down, Z forward).
+/// Vertices in the camera's frame (X right, Y down, Z forward), `[vertex]`.
 pub fn camera_positions(mesh: &Mesh, world_from_camera: &Pose) -> Vec<DVec3> {
     let camera_from_world = world_from_camera.inverse();
     mesh.positions.iter().map(|p| camera_from_world.transform(p.as_dvec3())).collect()
 }
 
 impl Raster {
-    /// Renders `triangles` over vertices given in the camera's frame. Both sides are seen; what comes nearer than
-    /// `near` is cut off.
+    /// Renders both sides of `triangles` over `points` in the camera's frame, clipped at the plane z = `near`.
     pub fn new(points: &[DVec3], triangles: &[[u32; 3]], camera: &Intrinsics, near: f64) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
         let mut raster = Self { camera: *camera, triangle: vec![MISS; pixels], depth: vec![f32::INFINITY; pixels] };
@@ -94,28 +93,28 @@ impl Raster {
         }
     }
 
-    /// The point seen at a pixel, in the camera's frame; `None` where nothing is seen.
+    /// The visible point at a pixel in the camera's frame; `None` if no triangle is visible.
     pub fn point(&self, x: usize, y: usize) -> Option<DVec3> {
         let z = f64::from(self.depth[y * self.camera.width as usize + x]);
         let k = &self.camera;
         z.is_finite().then(|| DVec3::new((x as f64 - k.cx) / k.fx * z, (y as f64 - k.cy) / k.fy * z, z))
     }
 
-    /// Barycentric weights of the point seen at a pixel, on the triangle given by `corners` in the camera's frame.
+    /// Barycentric weights of the visible point at a pixel in the triangle with these `corners` in the camera's frame.
     pub fn weights(&self, x: usize, y: usize, corners: [DVec3; 3]) -> [f32; 3] {
         let k = &self.camera;
         let ray = DVec3::new((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy, 1.0);
         let [a, b, c] = corners;
-        // Ratios of the volumes that the ray's line spans with the edges: right in perspective, no division by depth.
+        // Ratios of the volumes spanned by the ray and the edges: perspective-correct without a division by depth.
         let w = [ray.dot(b.cross(c)), ray.dot(c.cross(a)), ray.dot(a.cross(b))];
         let sum = w[0] + w[1] + w[2];
         if sum.abs() > 0.0 { w.map(|x| (x / sum).clamp(0.0, 1.0) as f32) } else { [1.0, 0.0, 0.0] }
     }
 }
 
-/// Pixels whose centres lie in `low..=high`, cut to the picture.
+/// Range of pixels with centres in `low..=high`, clamped to `0..size`.
 fn span(low: f64, high: f64, size: u32) -> (usize, usize) {
-    // Casts truncate and saturate, so values far outside the picture are harmless; for positive values, ceil(x) is
+    // Casts truncate and saturate, so values far outside the image are harmless; for positive values, ceil(x) is
     // trunc(x + 1 − tiny) and floor(x) is trunc(x).
     let first = (low + (1.0 - 1e-6)).max(0.0) as usize;
     let end = (high + (1.0 + 1e-6)).max(0.0) as usize;
@@ -158,14 +157,14 @@ mod tests {
     const CAMERA: Intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
 
     #[test]
-    fn wall_covers_every_pixel_at_its_depth() {
+    fn a_wall_covers_every_pixel_at_its_depth() {
         let points = [(-9.0, -9.0), (9.0, -9.0), (9.0, 9.0), (-9.0, 9.0)].map(|(x, y)| DVec3::new(x, y, 2.0));
         let raster = Raster::new(&points, &[[0, 1, 2], [0, 2, 3]], &CAMERA, 1e-3);
         assert!(raster.depth.iter().all(|&d| (d - 2.0).abs() < 1e-6));
     }
 
     #[test]
-    fn floor_below_the_camera_is_cut_at_the_near_plane() {
+    fn a_floor_below_the_camera_is_clipped_at_the_near_plane() {
         // One huge triangle that reaches behind the camera.
         let points = [DVec3::new(-1e4, 1.0, -50.0), DVec3::new(1e4, 1.0, -50.0), DVec3::new(0.0, 1.0, 1e4)];
         let raster = Raster::new(&points, &[[0, 1, 2]], &CAMERA, 1e-3);
@@ -175,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn nearer_triangle_wins_whatever_the_order() {
+    fn the_nearer_triangle_wins_in_any_order() {
         let quad = |z: f64| [DVec3::new(-9.0, -9.0, z), DVec3::new(9.0, -9.0, z), DVec3::new(0.0, 9.0, z)];
         let points = [quad(3.0), quad(2.0)].concat();
         for (order, near) in [([[0, 1, 2], [3, 4, 5]], 1), ([[3, 4, 5], [0, 1, 2]], 0)] {
@@ -184,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_return_the_point() {
+    fn weights_reproduce_the_point() {
         let corners = [DVec3::new(-1.0, -1.0, 1.5), DVec3::new(1.0, -0.5, 2.5), DVec3::new(0.0, 1.5, 2.0)];
         let raster = Raster::new(&corners, &[[0, 1, 2]], &CAMERA, 1e-3);
         let w = raster.weights(32, 24, corners);
@@ -193,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_corners_draw_nothing_and_do_not_panic() {
+    fn corners_that_are_not_finite_do_not_panic() {
         for bad in [f64::NAN, f64::INFINITY, 1e300] {
             let points = [DVec3::new(bad, 0.0, 1.0), DVec3::new(1.0, bad, 1.0), DVec3::new(0.0, 1.0, 1.0)];
             Raster::new(&points, &[[0, 1, 2], [0, 0, 0]], &CAMERA, 1e-3);

@@ -1,54 +1,41 @@
-//! Mesh regularisation: what the estimator works on has unit normals, no degenerate triangles and, where it was fused
-//! from depth, edges of about one length.
+//! Mesh regularisation (§3.1): unit normals, no degenerate triangles and, for meshes fused from depth, edges of about one
+//! length (isotropic remeshing after Botsch and Kobbelt 2004).
 
 use crate::mesh::surface::Surface;
 use crate::numerics::robust::median;
 use crate::rays::{Hit, RayScene};
 use firmware_config::EstimatorConfig;
+use firmware_config::tuning::MeshTuning;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use recordings::scan::ScanSource;
 use recordings::types::Mesh;
 
-/// Rounds of split, collapse, flip and smoothing.
-const ROUNDS: usize = 3;
-/// Vertices are as many as asked for to this share.
-const COUNT_TOLERANCE: f64 = 0.02;
-/// Longest and shortest edge as multiples of the target (Botsch and Kobbelt).
-const LONGEST: f32 = 4.0 / 3.0;
-const SHORTEST: f32 = 0.8;
-/// The same where vertices are still too many.
-const TO_COUNT: f32 = 1.5;
-/// Vertices nearer than this many median edges are one.
-const WELD: f32 = 1e-3;
-/// A mesh with a smaller share of edges outside [0.5, 1.5] of the target is regular already.
-const IRREGULAR_SHARE: f32 = 0.02;
-/// A mesh of more than so many times the vertices that are asked for is clustered first, in far less time and memory, ...
-const FAR_FINER: f64 = 6.0;
-/// ... to so many times the vertices: clusters may tear a closed surface, so that the rest is done edge by edge.
-const CLUSTERED: f64 = 2.0;
-/// The mesh grows to at most this many times its vertices.
-const GROWTH: usize = 4;
+/// Smallest cosine between a vertex's normal and the triangle that it is projected to.
+const MIN_FACING: f32 = 0.3;
 
-/// Prepares a scan's mesh. A fused mesh is welded, loses its specks and gets edges of `config.regularise` median edges,
-/// or longer ones where its area would need more than about `config.max_vertices` vertices.
-/// An imported mesh is taken as it is, vertex by vertex, unless `config.regularise` is something else than 1: only
-/// unusable triangles go and missing normals are made. A mesh that is regular already keeps its vertices too.
+/// The mesh that the estimator works on, in the scan's frame and units.
+///
+/// A fused mesh is welded, loses its small components and gets edges of `config.regularise` median edges, or longer ones
+/// if its area would need more than about `config.max_vertices` vertices. A mesh that is regular already keeps its vertices.
+/// An imported mesh keeps its vertices unless `config.regularise` differs from 1: only unusable triangles are dropped and
+/// missing normals are computed.
 #[must_use]
 pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> Mesh {
-    let as_it_is = match source {
+    let keep_vertices = match source {
         ScanSource::Photos => config.regularise == 0.0 || config.regularise == 1.0,
         ScanSource::Fusion => config.regularise == 0.0,
     };
-    if as_it_is {
+    if keep_vertices {
         return repaired(mesh);
     }
-    let clean = without_specks(&welded(&repaired(mesh)), config.speck_share);
+    let tuning = &config.tuning.mesh;
+    let clean = without_small_components(&welded(&repaired(mesh), tuning.weld_distance as f32), config.speck_share);
     let affordable = edge_for(area(&clean), config.max_vertices);
     let target = (config.regularise as f32 * median(edge_lengths(&clean)).unwrap_or(0.0)).max(affordable);
     let wanted = vertices_for(area(&clean), target);
-    let clean = if clean.positions.len() as f64 > FAR_FINER * wanted {
-        coarsened(&clean, (CLUSTERED * wanted) as usize)
+    let clean = if clean.positions.len() as f64 > tuning.cluster_above * wanted {
+        coarsened(&clean, (tuning.cluster_to * wanted) as usize)
     } else {
         clean
     };
@@ -57,14 +44,14 @@ pub fn regularise(mesh: &Mesh, config: &EstimatorConfig, source: ScanSource) -> 
     }
     let outside = |l: &f32| !(0.5 * target..=1.5 * target).contains(l);
     let lengths = edge_lengths(&clean);
-    if (lengths.iter().filter(|l| outside(l)).count() as f32) < IRREGULAR_SHARE * lengths.len() as f32 {
+    if (lengths.iter().filter(|l| outside(l)).count() as f32) < tuning.irregular_share as f32 * lengths.len() as f32 {
         return clean;
     }
-    remesh(&clean, target)
+    remesh(&clean, target, tuning)
 }
 
-/// A mesh of about `vertices` vertices instead of more, where time is short: vertices of one cell of a grid that face the
-/// same way become one.
+/// A mesh of about `vertices` vertices by clustering: vertices in one cell of a grid that face the same way become one. Much
+/// faster than remeshing, but may tear closed surfaces.
 #[must_use]
 pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
     let fine = repaired(mesh);
@@ -95,17 +82,20 @@ pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
     compacted(&raw, triangles)
 }
 
-fn remesh(mesh: &Mesh, target: f32) -> Mesh {
+/// Rounds of split, collapse, flip and tangential smoothing towards edges of length `target`.
+fn remesh(mesh: &Mesh, target: f32, tuning: &MeshTuning) -> Mesh {
+    let (shortest, longest) = (tuning.shortest_edge as f32 * target, tuning.longest_edge as f32 * target);
     let scene = RayScene::new(mesh);
-    let limit = GROWTH * mesh.positions.len() + 1000;
+    let limit = tuning.max_growth as usize * mesh.positions.len() + 1000;
     let wanted = vertices_for(area(mesh), target).min(limit as f64);
     let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
-    for _ in 0..ROUNDS {
-        surface.split_long(LONGEST * target, limit);
-        surface.collapse_short(SHORTEST * target, LONGEST * target);
-        // Edges of any length between the two stay, so that their mean hangs on where they began.
-        surface.collapse_to(((1.0 + COUNT_TOLERANCE) * wanted) as usize, TO_COUNT * target);
-        surface.split_to(((1.0 - COUNT_TOLERANCE) * wanted) as usize);
+    for _ in 0..tuning.remesh_rounds {
+        surface.split_long(longest, limit);
+        surface.collapse_short(shortest, longest);
+        // Edges of any length between the two bounds stay, so their mean depends on the input: correct the count.
+        let most = ((1.0 + tuning.count_tolerance) * wanted) as usize;
+        surface.collapse_to(most, tuning.longest_edge_to_count as f32 * target);
+        surface.split_to(((1.0 - tuning.count_tolerance) * wanted) as usize);
         surface.flip_edges();
         let relaxed = surface.relaxed(0.5);
         let normals = surface.normals();
@@ -135,12 +125,12 @@ fn remesh(mesh: &Mesh, target: f32) -> Mesh {
     compacted(&raw, triangles)
 }
 
-/// Edge with which `vertices` vertices cover an area: an equilateral triangulation has √3/2 edge² a vertex.
+/// Edge length at which `vertices` vertices cover an area: an equilateral triangulation has √3/2 edge² per vertex.
 fn edge_for(area: f64, vertices: u32) -> f32 {
     (area / (0.75f64.sqrt() * f64::from(vertices))).sqrt() as f32
 }
 
-/// The reverse.
+/// Number of vertices that cover an area with edges of a length.
 fn vertices_for(area: f64, edge: f32) -> f64 {
     area / (0.75f64.sqrt() * f64::from(edge).powi(2))
 }
@@ -150,7 +140,7 @@ fn area(mesh: &Mesh) -> f64 {
     mesh.triangles.iter().map(corners).map(|[a, b, c]| 0.5 * f64::from((b - a).cross(c - a).length())).sum()
 }
 
-/// The input surface along the normal, at most half a target edge away and facing the same way.
+/// The point on the input surface along the normal, at most half a target edge away and facing the same way.
 fn project(mesh: &Mesh, scene: &RayScene, p: Vec3, normal: Vec3, target: f32) -> Option<(Vec3, Hit)> {
     if normal == Vec3::ZERO {
         return None;
@@ -158,11 +148,11 @@ fn project(mesh: &Mesh, scene: &RayScene, p: Vec3, normal: Vec3, target: f32) ->
     let reach = 0.5 * target;
     let hit = scene.closest_hit(p + normal * reach, -normal).filter(|h| h.distance <= 2.0 * reach)?;
     let [a, b, c] = mesh.triangles[hit.triangle as usize].map(|i| mesh.positions[i as usize]);
-    let same_side = (b - a).cross(c - a).normalize_or_zero().dot(normal) > 0.3;
+    let same_side = (b - a).cross(c - a).normalize_or_zero().dot(normal) > MIN_FACING;
     same_side.then(|| (p + normal * (reach - hit.distance), hit))
 }
 
-/// The same vertices with finite positions and unit normals, and only triangles that are usable.
+/// The same vertices with finite positions and unit normals, and the usable triangles.
 fn repaired(mesh: &Mesh) -> Mesh {
     let triangles = usable_triangles(mesh);
     let made = area_normals(&mesh.positions, &triangles);
@@ -176,7 +166,7 @@ fn repaired(mesh: &Mesh) -> Mesh {
     Mesh { positions, normals, triangles }
 }
 
-/// Triangles with three different, finite corners and an area, each set of corners once.
+/// Triangles with three different, finite corners and a positive area, each set of corners once.
 fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
     let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|p| p.is_finite());
     let usable = |t: &[u32; 3]| match (corner(t[0]), corner(t[1]), corner(t[2])) {
@@ -201,7 +191,7 @@ fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
     kept.into_iter().map(|i| mesh.triangles[i]).collect()
 }
 
-/// Unit vertex normals, triangles weighed by area; +Z where there is none.
+/// Unit vertex normals, triangles weighted by area; +Z for vertices without a triangle.
 fn area_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     let mut sums = vec![Vec3::ZERO; positions.len()];
     for t in triangles {
@@ -214,14 +204,14 @@ fn area_normals(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<Vec3> {
     sums.into_iter().map(|n| n.try_normalize().unwrap_or(Vec3::Z)).collect()
 }
 
-/// Vertices that coincide become one; vertices without a triangle go.
-fn welded(mesh: &Mesh) -> Mesh {
-    let cell = WELD * median(edge_lengths(mesh)).unwrap_or(0.0);
+/// Merges vertices within `distance` median edges and drops vertices without a triangle.
+fn welded(mesh: &Mesh, distance: f32) -> Mesh {
+    let cell = distance * median(edge_lengths(mesh)).unwrap_or(0.0);
     if !(cell > 0.0 && cell.is_finite()) {
         return mesh.clone();
     }
     let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
-    // Saturating casts: coordinates beyond 2³¹ cells fall together only with their like.
+    // Saturating casts: coordinates beyond 2³¹ cells are merged only with each other.
     let mut keyed: Vec<([i32; 3], u32)> = (0u32..)
         .zip(&mesh.positions)
         .map(|(i, p)| (((*p - origin) / cell).round().as_ivec3().min(IVec3::MAX).to_array(), i))
@@ -240,8 +230,8 @@ fn welded(mesh: &Mesh) -> Mesh {
     compacted(mesh, triangles)
 }
 
-/// Components of fewer vertices than `share` of the largest's are noise of the depth camera.
-fn without_specks(mesh: &Mesh, share: f64) -> Mesh {
+/// Drops connected components with fewer vertices than `share` of the largest: noise of the depth camera.
+fn without_small_components(mesh: &Mesh, share: f64) -> Mesh {
     let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {
@@ -264,7 +254,7 @@ fn without_specks(mesh: &Mesh, share: f64) -> Mesh {
     compacted(mesh, mesh.triangles.iter().filter(big).copied().collect())
 }
 
-/// The mesh of these triangles, without vertices that none of them uses.
+/// The mesh of these triangles, without the vertices that none of them uses.
 fn compacted(mesh: &Mesh, mut triangles: Vec<[u32; 3]>) -> Mesh {
     let mut used = vec![false; mesh.positions.len()];
     triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
@@ -288,7 +278,7 @@ fn edge_lengths(mesh: &Mesh) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    /// A unit sphere by latitude and longitude: slivers at the poles, all edges of different lengths.
+    /// A unit sphere by latitude and longitude: slivers at the poles, edges of many lengths.
     fn globe(rings: u32, sectors: u32) -> Mesh {
         let mut positions = vec![Vec3::Z, Vec3::NEG_Z];
         for r in 1..rings {
@@ -311,7 +301,7 @@ mod tests {
         Mesh { normals: positions.clone(), positions, triangles }
     }
 
-    /// Vertices − edges + triangles, and the number of edges that have not two triangles.
+    /// Vertices − edges + triangles, and the number of edges without exactly two triangles.
     fn topology(mesh: &Mesh) -> (i64, usize) {
         let mut edges = std::collections::BTreeMap::new();
         for t in &mesh.triangles {
@@ -324,10 +314,10 @@ mod tests {
     }
 
     #[test]
-    fn slivers_go_and_the_surface_stays() {
+    fn slivers_are_removed_and_the_surface_is_kept() {
         let globe = globe(60, 160);
         let mesh = regularise(&globe, &EstimatorConfig::default(), ScanSource::Fusion);
-        assert_eq!(topology(&mesh), (2, 0), "a closed sphere stays one");
+        assert_eq!(topology(&mesh), (2, 0), "a closed sphere stays closed");
         let target = median(edge_lengths(&globe)).unwrap();
         let mut lengths = edge_lengths(&mesh);
         lengths.sort_by(f32::total_cmp);
@@ -341,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_vertices_than_the_estimator_can_hold() {
+    fn vertices_are_limited_by_max_vertices() {
         let config = EstimatorConfig { max_vertices: 2000, ..Default::default() };
         let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
         assert_eq!(topology(&mesh), (2, 0));
@@ -350,9 +340,9 @@ mod tests {
         assert!(mesh.positions.iter().all(|p| (p.length() - 1.0).abs() < 5e-3));
     }
 
-    /// Halving edges leads from some lengths to too many vertices and from others to too few.
+    /// Bounds on edge lengths alone give too many vertices from some inputs and too few from others.
     #[test]
-    fn as_many_vertices_as_asked_for() {
+    fn the_requested_number_of_vertices_is_reached() {
         for asked in [2500, 4000, 6000, 10_000, 16_000, 25_000] {
             let config = EstimatorConfig { max_vertices: asked, regularise: 0.1, ..Default::default() };
             let mesh = regularise(&globe(60, 160), &config, ScanSource::Fusion);
@@ -368,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn coarsened_in_a_hurry() {
+    fn clustering_keeps_the_shape() {
         let fine = globe(100, 200);
         let coarse = coarsened(&fine, 2000);
         let n = coarse.positions.len();
@@ -390,10 +380,10 @@ mod tests {
     }
 
     #[test]
-    fn specks_go_and_seams_are_welded() {
+    fn small_components_are_dropped_and_seams_welded() {
         let mut mesh = globe(60, 160);
         let n = mesh.positions.len() as u32;
-        // A speck, and a copy of the sphere's first cap on vertices of its own.
+        // A small component, and the sphere's first triangle on vertices of its own.
         mesh.positions.extend([Vec3::splat(3.0), Vec3::splat(3.1), Vec3::new(3.0, 3.1, 3.0)]);
         mesh.normals.extend([Vec3::Z; 3]);
         mesh.triangles.push([n, n + 1, n + 2]);

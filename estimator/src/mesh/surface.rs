@@ -1,11 +1,29 @@
-//! A triangle mesh that can be edited: split, collapse, flip. Edges with more than two triangles are left alone.
+//! An editable triangle mesh: edge split, collapse and flip. Edges with more than two triangles are left as they are.
 
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Triangles of a vertex are kept in a list, so that no orientation or manifoldness is assumed.
+/// Passes over all short edges; a pass at least halves a fan of needles.
+const COLLAPSE_PASSES: usize = 8;
+/// Smallest cosine between two triangles whose common edge may be flipped.
+const FLAT_COSINE: f32 = 0.9;
+/// Sum of the cosines of opposite angles below which an edge is not Delaunay: exactly 0 is 180° together.
+const DELAUNAY_COSINES: f32 = -1e-3;
+/// Smallest cosine between a triangle and its vertex's mean normal for the vertex to be smoothed.
+const SMOOTH_COSINE: f32 = 0.7;
+/// Smallest cosine between a triangle's normals before and after a collapse.
+const KEPT_SIDE_COSINE: f32 = 0.7;
+/// A collapse may reduce the roundness of a triangle by this factor, counted from at most [`ROUND_ENOUGH`].
+const ROUNDNESS_LOSS: f32 = 0.7;
+const ROUND_ENOUGH: f32 = 0.2;
+/// Largest deviation of a removed border vertex from the new border, in longest edges ...
+const BORDER_DEVIATION: f32 = 0.25;
+/// ... unless the border turns by less than the angle of this cosine there.
+const BORDER_COSINE: f32 = 0.8;
+
+/// Every vertex keeps a list of its triangles, so neither orientation nor manifoldness is assumed.
 pub struct Surface {
-    /// Vertex positions; vertices without triangles are dead.
+    /// Vertex positions, `[vertex]`; vertices without triangles are unused.
     pub positions: Vec<Vec3>,
     triangles: Vec<Option<[u32; 3]>>,
     rings: Vec<Vec<u32>>,
@@ -23,7 +41,7 @@ impl Surface {
         Self { positions, triangles: triangles.iter().map(|t| Some(*t)).collect(), rings }
     }
 
-    /// The triangles that are left.
+    /// The remaining triangles.
     pub fn triangles(&self) -> Vec<[u32; 3]> {
         self.triangles.iter().copied().flatten().collect()
     }
@@ -66,11 +84,10 @@ impl Surface {
         }
     }
 
-    /// Collapses edges shorter than `shortest` where that keeps the surface's topology and turns no triangle over, and
-    /// makes no edge longer than `longest`.
+    /// Collapses edges shorter than `shortest` if that keeps the topology, flips no triangle and makes no edge longer than
+    /// `longest`.
     pub fn collapse_short(&mut self, shortest: f32, longest: f32) {
-        // A pass at least halves a fan of needles.
-        for _ in 0..8 {
+        for _ in 0..COLLAPSE_PASSES {
             let mut collapsed = false;
             for t in 0..self.triangles.len() {
                 let Some(c) = self.triangles[t] else { continue };
@@ -83,7 +100,7 @@ impl Surface {
         }
     }
 
-    /// Vertices that have a triangle.
+    /// Number of vertices with a triangle.
     fn vertices(&self) -> usize {
         self.rings.iter().filter(|r| !r.is_empty()).count()
     }
@@ -97,7 +114,7 @@ impl Surface {
         edges
     }
 
-    /// Collapses the shortest edges until `most` vertices are left, as far as [`Self::collapse_short`]'s conditions let it.
+    /// Collapses the shortest edges until `most` vertices are left, under the conditions of [`Self::collapse_short`].
     pub fn collapse_to(&mut self, most: usize, longest: f32) {
         let mut left = self.vertices();
         let mut before = usize::MAX;
@@ -125,7 +142,7 @@ impl Surface {
     fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
         let shared = self.shared(a, b);
         let (on_a, on_b) = (self.on_border(a), self.on_border(b));
-        // Pinching two borders together, or an edge of three triangles.
+        // An edge of three triangles, or two borders that would be pinched together.
         if shared.is_empty() || shared.len() > 2 || (on_a && on_b && shared.len() == 2) {
             return false;
         }
@@ -134,7 +151,7 @@ impl Surface {
             return false;
         }
         let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
-        // A border keeps its place.
+        // Border vertices do not move.
         let target = match (on_a, on_b) {
             (true, false) => pa,
             (false, true) => pb,
@@ -182,7 +199,7 @@ impl Surface {
         }
     }
 
-    /// Flips inner edges that are not Delaunay, where the surface is flat enough for either diagonal.
+    /// Flips inner edges that are not Delaunay if the surface is flat enough for either diagonal.
     pub fn flip_edges(&mut self) {
         for t in 0..self.triangles.len() {
             let Some(c) = self.triangles[t] else { continue };
@@ -206,13 +223,13 @@ impl Surface {
         let (Some(c), Some(d)) = (third(cs), third(ct)) else { return false };
         let [pa, pb, pc, pd] = [a, b, c, d].map(|i| self.positions[i as usize]);
         let cosine = |p: Vec3, q: Vec3, r: Vec3| (q - p).normalize_or_zero().dot((r - p).normalize_or_zero());
-        // Opposite angles of more than 180° together: their cosines sum below zero.
-        if cosine(pc, pa, pb) + cosine(pd, pa, pb) > -1e-3 || c == d || !self.shared(c, d).is_empty() {
+        // Not Delaunay: the opposite angles exceed 180° together, so their cosines sum to less than zero.
+        if cosine(pc, pa, pb) + cosine(pd, pa, pb) > DELAUNAY_COSINES || c == d || !self.shared(c, d).is_empty() {
             return false;
         }
         let (one, two) = ([pa, pd, pc], [pd, pb, pc]);
         let before = normal([pa, pb, pc]) + normal([pb, pa, pd]);
-        let flat = normal([pa, pb, pc]).normalize_or_zero().dot(normal([pb, pa, pd]).normalize_or_zero()) > 0.9;
+        let flat = normal([pa, pb, pc]).normalize_or_zero().dot(normal([pb, pa, pd]).normalize_or_zero()) > FLAT_COSINE;
         if !flat || normal(one).dot(before) <= 0.0 || normal(two).dot(before) <= 0.0 {
             return false;
         }
@@ -225,7 +242,8 @@ impl Surface {
         true
     }
 
-    /// Where every vertex would go to be evenly spaced, within its tangent plane; borders and creases stay.
+    /// Tangential Laplacian smoothing: positions, `[vertex]`, after a `step` (0 … 1) towards the mean of the neighbours within
+    /// the tangent plane. Vertices on borders and creases stay.
     pub fn relaxed(&self, step: f32) -> Vec<Vec3> {
         (0..self.positions.len() as u32)
             .into_par_iter()
@@ -238,7 +256,7 @@ impl Surface {
                 let normals = ring.iter().filter_map(|&t| self.triangles[t as usize]);
                 let normals: Vec<Vec3> = normals.map(|t| normal(t.map(|c| self.positions[c as usize]))).collect();
                 let Some(mean) = normals.iter().sum::<Vec3>().try_normalize() else { return p };
-                if normals.iter().any(|n| n.normalize_or_zero().dot(mean) < 0.7) {
+                if normals.iter().any(|n| n.normalize_or_zero().dot(mean) < SMOOTH_COSINE) {
                     return p;
                 }
                 let neighbours = self.neighbours(i);
@@ -249,7 +267,7 @@ impl Surface {
             .collect()
     }
 
-    /// Unit normal of every vertex; zero where it has none.
+    /// Unit normal of every vertex, `[vertex]`; zero for unused vertices.
     pub fn normals(&self) -> Vec<Vec3> {
         let mut sums = vec![Vec3::ZERO; self.positions.len()];
         for t in self.triangles.iter().flatten() {
@@ -286,7 +304,7 @@ impl Surface {
         out
     }
 
-    /// True where the triangles do not close to a full fan.
+    /// True if the vertex's triangles do not form a closed fan.
     fn on_border(&self, a: u32) -> bool {
         let ring = &self.rings[a as usize];
         let mut corners: Vec<u32> =
@@ -296,14 +314,15 @@ impl Surface {
             || corners.chunks(2).collect::<Vec<_>>().windows(2).any(|w| w[0][0] == w[1][0])
     }
 
-    /// Removing `b` from the border that runs on from `a` cuts no corner worth a quarter of the `longest` edge.
+    /// True if removing `b` from the border that continues from `a` cuts off no significant corner.
     fn border_is_straight(&self, a: u32, b: u32, longest: f32) -> bool {
         let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
         let next = self.neighbours(b).into_iter().find(|&n| n != a && self.shared(b, n).len() == 1);
         next.is_some_and(|n| {
             let pn = self.positions[n as usize];
             let across = (pb - pa).reject_from((pn - pa).try_normalize().unwrap_or(Vec3::X));
-            across.length() < 0.25 * longest || (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > 0.8
+            across.length() < BORDER_DEVIATION * longest
+                || (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > BORDER_COSINE
         })
     }
 }
@@ -316,11 +335,11 @@ fn runs_along(t: [u32; 3], a: u32, b: u32) -> bool {
     (t[0] == a && t[1] == b) || (t[1] == a && t[2] == b) || (t[2] == a && t[0] == b)
 }
 
-/// A moved triangle still looks the same way and is not much more of a sliver.
+/// True if a moved triangle still faces the same way and is not much closer to a sliver.
 fn keeps_side(old: [Vec3; 3], new: [Vec3; 3]) -> bool {
     let (before, after) = (normal(old), normal(new));
-    let same_way = before.normalize_or_zero().dot(after.normalize_or_zero()) > 0.7;
-    same_way && roundness(new) > 0.7 * roundness(old).min(0.2)
+    let same_way = before.normalize_or_zero().dot(after.normalize_or_zero()) > KEPT_SIDE_COSINE;
+    same_way && roundness(new) > ROUNDNESS_LOSS * roundness(old).min(ROUND_ENOUGH)
 }
 
 /// Twice the area over the longest edge squared: √3/2 for an equilateral triangle, 0 for a needle.

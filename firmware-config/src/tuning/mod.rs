@@ -4,12 +4,14 @@
 //! that does it.
 
 mod distance_check;
+mod mesh;
 mod segmentation;
 mod tracking;
 
 use crate::settings::tuning;
 
 pub use distance_check::DistanceCheckTuning;
+pub use mesh::MeshTuning;
 pub use segmentation::SegmentationTuning;
 pub use tracking::TrackingTuning;
 
@@ -18,6 +20,8 @@ tuning! {
     EstimatorTuning {
         /// Check of the distant-light assumption.
         distance_check: DistanceCheckTuning;
+        /// Mesh regularisation.
+        mesh: MeshTuning;
         /// Segmentation into materials.
         segmentation: SegmentationTuning;
     }
