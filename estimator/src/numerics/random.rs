@@ -1,9 +1,9 @@
-//! Directions seeded by (vertex, round): scrambled low-discrepancy points, cosine-distributed about a normal.
+//! Hash-based random numbers, and cosine-distributed directions from scrambled Sobol points, seeded by vertex.
 
 use glam::Vec3;
 use std::f32::consts::TAU;
 
-/// Scrambled point sets that vertices share; each vertex turns its set about its normal by an angle of its own.
+/// Scrambled point sets shared by the vertices; each vertex rotates its set about its normal by a random angle.
 const SETS: usize = 32;
 
 /// A hash of two words with good avalanche (the finaliser of MurmurHash3, twice).
@@ -20,7 +20,7 @@ fn mix(mut x: u32) -> u32 {
     x ^ (x >> 16)
 }
 
-/// Uniform in [0, 1).
+/// A hash as a uniform number in [0, 1).
 #[must_use]
 pub fn unit(x: u32) -> f32 {
     (x >> 8) as f32 / 16_777_216.0
@@ -60,7 +60,7 @@ struct Lifted {
     z: f32,
 }
 
-/// Cosine-distributed directions for every vertex; any prefix of a vertex's sequence is well distributed.
+/// Cosine-distributed directions for every vertex; every prefix of a vertex's sequence is well distributed.
 #[derive(Debug)]
 pub struct CosineDirections {
     sets: Vec<Vec<Lifted>>,
@@ -68,7 +68,7 @@ pub struct CosineDirections {
 }
 
 impl CosineDirections {
-    /// For up to `count` directions a vertex.
+    /// Prepares up to `count` directions per vertex.
     #[must_use]
     pub fn new(count: u32, seed: u32) -> Self {
         let lifted = |index: u32, set: u32| {

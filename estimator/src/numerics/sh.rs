@@ -4,17 +4,17 @@ use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// Most bands (l_max + 1) there are.
+/// Largest number of bands (l_max + 1).
 pub const MAX_BANDS: usize = 9;
-/// Bands of the light that mirrors show: a gloss weight without a width mirrors what is above too sharply.
+/// Bands of the light used for mirror reflections: higher bands would be too sharp for a specular weight without a lobe width.
 pub const MIRRORED_BANDS: usize = 7;
-/// Coefficients of [`MAX_BANDS`].
+/// Number of coefficients of [`MAX_BANDS`].
 pub const MAX_COEFFICIENTS: usize = MAX_BANDS * MAX_BANDS;
-/// Directions that [`eval_lanes`] takes at a time.
+/// Directions that [`add_lanes`] evaluates at a time.
 pub const LANES: usize = 8;
 
 /// Factors of the normalised associated Legendre recurrence
-/// `q(l, m) = a(l, m) z q(l-1, m) + b(l, m) q(l-2, m)`, starting at `q(m, m)`; sin^m stands with x and y.
+/// `q(l, m) = a(l, m) z q(l-1, m) + b(l, m) q(l-2, m)`, starting at `q(m, m)`; the factor sin^m θ is carried by x and y.
 struct Recurrence {
     start: [f64; MAX_BANDS],
     a: [[f64; MAX_BANDS]; MAX_BANDS],
@@ -123,7 +123,7 @@ pub fn radiance(coefficients: &[[f64; 3]], direction: DVec3) -> [f64; 3] {
     sum
 }
 
-/// Band-wise factor of the convolution with the clamped cosine over π: `1/π ∫ max(n·ω, 0) Y_k(ω) dω = factor(l) Y_k(n)`.
+/// Factor of band l in the convolution with the clamped cosine over π (Ramamoorthi and Hanrahan 2001): `1/π ∫ max(n·ω, 0) Y_k(ω) dω = factor(l) Y_k(n)`.
 #[must_use]
 pub fn cosine_factor(l: usize) -> f64 {
     match l {
@@ -145,7 +145,7 @@ pub fn band(k: usize) -> usize {
     k.isqrt()
 }
 
-/// `n` directions that cover the sphere evenly (a Fibonacci spiral); each stands for 4π/n steradians.
+/// `n` unit directions that cover the sphere evenly (Fibonacci spiral); each represents 4π/n steradians.
 #[must_use]
 pub fn even_directions(n: usize) -> Vec<DVec3> {
     let turn = PI * (1.0 + libm::sqrt(5.0));
@@ -252,7 +252,7 @@ mod tests {
             }
         }
 
-        /// A band's energy does not depend on the direction (the addition theorem): rotations do not mix bands.
+        /// Addition theorem: a band's energy does not depend on the direction.
         #[test]
         fn addition_theorem(x in -1.0f64..1.0, y in -1.0f64..1.0, z in -1.0f64..1.0) {
             prop_assume!(DVec3::new(x, y, z).length() > 0.1);

@@ -249,8 +249,8 @@ mod tests {
                 .iter()
                 .filter_map(|t| {
                     let corners = t.map(|i| Vec3A::from(cube.positions[i as usize]));
-                    let (met, distance, _) = ray.triangles(&Leaf::new(std::iter::once((0, corners))), f32::MAX);
-                    (met == 1).then_some(distance.x)
+                    let (hits, distance, _) = ray.triangles(&Leaf::new(std::iter::once((0, corners))), f32::MAX);
+                    (hits == 1).then_some(distance.x)
                 })
                 .min_by(f32::total_cmp);
             let hit = scene.closest_hit(origin, d).map(|h| h.distance);

@@ -1,24 +1,24 @@
-//! A ray's way through the hierarchy.
+//! BVH traversal and the watertight ray–triangle test.
 
 use crate::rays::wide_bvh::{Child, IN_LEAF, Leaf, Node, WIDTH, Wide};
 use glam::{Vec3A, Vec4};
 
-/// Components of a direction are taken for this at least where a box is met, so that no inverse is infinite.
+/// Lower bound of the magnitude of a direction's components in box tests, so that no inverse is infinite.
 const LEAST_COMPONENT: f32 = 1e-18;
-/// Boxes end this share later than computed: more than the rounding of a distance.
+/// Relative enlargement of the exit distance of a box: more than its rounding error.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
-/// Boxes that wait without memory of their own.
-const WAITING: usize = 64;
+/// Entries of the traversal stack before it spills to the heap.
+const STACK: usize = 64;
 
-/// A ray as boxes and triangles meet it, every value four times. For triangles that is the frame of Woop, Benthin and
-/// Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): the axis it runs along most is z, and a shear makes it that
-/// axis.
+/// A ray with the values that box and triangle tests need, each in four lanes. Triangles are tested in the frame of Woop,
+/// Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): z is the ray's dominant axis, and a shear aligns the
+/// ray with it.
 pub(super) struct Ray {
     origin: [Vec4; 3],
-    /// Inverse direction to where a box begins and to where it ends.
+    /// Inverse direction for entry and for exit distances.
     inverse: [[Vec4; 3]; 2],
-    /// Whether a box begins at its lower (0) or its upper (1) plane.
-    begin: [usize; 3],
+    /// `[axis]`: whether the ray enters boxes through their lower (0) or upper (1) plane.
+    entry: [usize; 3],
     axes: [usize; 3],
     shear: [Vec4; 2],
     inverse_z: Vec4,
@@ -40,40 +40,38 @@ impl Ray {
         Self {
             origin: origin.to_array().map(Vec4::splat),
             inverse: [inverse.map(Vec4::splat), inverse.map(|i| Vec4::splat(i * (1.0 + ROUNDING)))],
-            begin: inverse.map(|i| usize::from(i < 0.0)),
+            entry: inverse.map(|i| usize::from(i < 0.0)),
             axes,
             shear: [Vec4::splat(d[axes[0]] / d[z]), Vec4::splat(d[axes[1]] / d[z])],
             inverse_z: Vec4::splat(1.0 / d[z]),
         }
     }
 
-    /// A bit for each box that the ray meets between 0 and `within`, and where it enters it.
+    /// One bit for each box that the ray hits between 0 and `within`, and its entry distances, `[box]`.
     #[inline(always)]
     fn boxes(&self, node: &Node, within: f32) -> (u32, [f32; WIDTH]) {
-        let mut met = 0;
-        let mut entered = [Vec4::ZERO; 2];
-        for (half, entered) in entered.iter_mut().enumerate() {
+        let mut hits = 0;
+        let mut entry_distance = [Vec4::ZERO; 2];
+        for (half, entry_distance) in entry_distance.iter_mut().enumerate() {
             let distances = |end: usize| {
                 let at = |axis: usize| {
-                    let plane = node.planes[axis][self.begin[axis] ^ end][half];
+                    let plane = node.planes[axis][self.entry[axis] ^ end][half];
                     (plane - self.origin[axis]) * self.inverse[end][axis]
                 };
                 [at(0), at(1), at(2)]
             };
             let ([ax, ay, az], [bx, by, bz]) = (distances(0), distances(1));
-            *entered = ax.max(ay).max(az).max(Vec4::ZERO);
+            *entry_distance = ax.max(ay).max(az).max(Vec4::ZERO);
             let left = bx.min(by).min(bz).min(Vec4::splat(within));
-            met |= entered.cmple(left).bitmask() << (4 * half);
+            hits |= entry_distance.cmple(left).bitmask() << (4 * half);
         }
-        (met, bytemuck::cast(entered))
+        (hits, bytemuck::cast(entry_distance))
     }
 
-    /// A bit for each triangle that the ray meets between 0 and `within`, both left out, the other included; their
-    /// distances; the edge functions.
+    /// One bit for each triangle that the ray hits at a distance in (0, `within`]; the distances; the edge functions.
     ///
-    /// The sign of an edge function is exact for the sheared corners (rounded products keep their order; a difference of
-    /// zero is taken again in f64), so triangles that share an edge or a corner agree on which of them a ray passes: no
-    /// gap between them.
+    /// The sign of an edge function is exact for the sheared corners: rounded products keep their order, and a difference of
+    /// zero is recomputed in f64. So triangles that share an edge or a corner agree on which of them a ray passes, without gaps.
     #[inline(always)]
     pub(super) fn triangles(&self, leaf: &Leaf, within: f32) -> (u32, Vec4, [Vec4; 3]) {
         let [kx, ky, kz] = self.axes;
@@ -86,7 +84,7 @@ impl Ray {
         let zero = Vec4::ZERO;
         let doubtful = edges[0].cmpeq(zero) | edges[1].cmpeq(zero) | edges[2].cmpeq(zero);
         if doubtful.any() {
-            take_again(doubtful.bitmask(), &x, &y, &mut edges);
+            recompute(doubtful.bitmask(), &x, &y, &mut edges);
         }
         let (least, most) = (edges[0].min(edges[1]).min(edges[2]), edges[0].max(edges[1]).max(edges[2]));
         let inside = !(least.cmplt(zero) & most.cmpgt(zero));
@@ -95,15 +93,15 @@ impl Ray {
         }
         let sum = edges[0] + edges[1] + edges[2];
         let t = (edges[0] * z[0] + edges[1] * z[1] + edges[2] * z[2]) * self.inverse_z / sum;
-        // Edge-on triangles give NaN, which fails here.
+        // Edge-on triangles give NaN and fail this test.
         ((inside & t.cmpgt(zero) & t.cmple(Vec4::splat(within))).bitmask(), t, edges)
     }
 }
 
-/// The edge functions of the triangles of `mask` in f64.
+/// Recomputes the edge functions of the triangles in `mask` in f64.
 #[cold]
 #[inline(never)]
-fn take_again(mask: u32, x: &[Vec4; 3], y: &[Vec4; 3], edges: &mut [Vec4; 3]) {
+fn recompute(mask: u32, x: &[Vec4; 3], y: &[Vec4; 3], edges: &mut [Vec4; 3]) {
     for i in (0..IN_LEAF).filter(|i| mask >> i & 1 == 1) {
         let (x, y) = (x.map(|x| f64::from(x[i])), y.map(|y| f64::from(y[i])));
         edges[0][i] = (x[2] * y[1] - y[2] * x[1]) as f32;
@@ -112,9 +110,9 @@ fn take_again(mask: u32, x: &[Vec4; 3], y: &[Vec4; 3], edges: &mut [Vec4; 3]) {
     }
 }
 
-/// A triangle that a ray meets.
+/// The nearest hit so far, with a distance in the scaled coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Met {
+pub(super) struct NearestHit {
     pub(super) distance: f32,
     pub(super) triangle: u32,
     pub(super) u: f32,
@@ -122,7 +120,7 @@ pub(super) struct Met {
 }
 
 impl Wide {
-    /// Whether any triangle lies nearer than `within`, or there.
+    /// True if any triangle is hit at a distance of at most `within`.
     #[inline(always)]
     pub(super) fn any(&self, ray: &Ray, within: f32) -> bool {
         let mut stack = Stack::<Child>::new();
@@ -136,13 +134,13 @@ impl Wide {
                 }
                 Err(node) => {
                     let node = &self.nodes[node];
-                    let (mut met, _) = ray.boxes(node, within);
-                    if met != 0 {
+                    let (mut hits, _) = ray.boxes(node, within);
+                    if hits != 0 {
                         stack.make_room();
-                        next = node.children[take_lowest(&mut met) % WIDTH];
-                        while met != 0 {
+                        next = node.children[take_lowest(&mut hits) % WIDTH];
+                        while hits != 0 {
                             stack.push(next);
-                            next = node.children[take_lowest(&mut met) % WIDTH];
+                            next = node.children[take_lowest(&mut hits) % WIDTH];
                         }
                         continue;
                     }
@@ -155,25 +153,25 @@ impl Wide {
         }
     }
 
-    /// The nearest triangle; of equally near ones the first of the mesh.
+    /// The nearest hit; of equally near triangles the one with the lowest index.
     #[inline(always)]
-    pub(super) fn closest(&self, ray: &Ray) -> Option<Met> {
-        let mut best = Met { distance: f32::MAX, triangle: u32::MAX, u: 0.0, v: 0.0 };
-        let mut stack = Stack::<Waiting>::new();
+    pub(super) fn closest(&self, ray: &Ray) -> Option<NearestHit> {
+        let mut best = NearestHit { distance: f32::MAX, triangle: u32::MAX, u: 0.0, v: 0.0 };
+        let mut stack = Stack::<Pending>::new();
         let mut next = self.root;
         'descent: loop {
             match next.leaf_or_node() {
-                Ok(leaf) => best.take(ray, &self.leaves[leaf]),
+                Ok(leaf) => best.update(ray, &self.leaves[leaf]),
                 Err(node) => {
                     let node = &self.nodes[node];
-                    let (mut met, entered) = ray.boxes(node, best.distance);
-                    if met != 0 {
+                    let (mut hits, entry_distance) = ray.boxes(node, best.distance);
+                    if hits != 0 {
                         stack.make_room();
                         let start = stack.len;
-                        let mut nearest = Waiting::take(node, &mut met, &entered);
-                        while met != 0 {
-                            let mut farther = Waiting::take(node, &mut met, &entered);
-                            if farther.entered < nearest.entered {
+                        let mut nearest = Pending::take(node, &mut hits, &entry_distance);
+                        while hits != 0 {
+                            let mut farther = Pending::take(node, &mut hits, &entry_distance);
+                            if farther.entry_distance < nearest.entry_distance {
                                 std::mem::swap(&mut farther, &mut nearest);
                             }
                             stack.insert(start, farther);
@@ -185,8 +183,8 @@ impl Wide {
             }
             loop {
                 match stack.pop() {
-                    Some(waiting) if waiting.entered <= best.distance => {
-                        next = waiting.child;
+                    Some(pending) if pending.entry_distance <= best.distance => {
+                        next = pending.child;
                         break;
                     }
                     Some(_) => {}
@@ -205,13 +203,13 @@ fn take_lowest(bits: &mut u32) -> usize {
     lowest
 }
 
-impl Met {
-    /// Takes the nearest triangle of `leaf` if it is nearer.
+impl NearestHit {
+    /// Updates with the nearest triangle of `leaf` if that is nearer.
     #[inline(always)]
-    fn take(&mut self, ray: &Ray, leaf: &Leaf) {
-        let (mut met, distances, edges) = ray.triangles(leaf, self.distance);
-        while met != 0 {
-            let i = take_lowest(&mut met) % IN_LEAF;
+    fn update(&mut self, ray: &Ray, leaf: &Leaf) {
+        let (mut hits, distances, edges) = ray.triangles(leaf, self.distance);
+        while hits != 0 {
+            let i = take_lowest(&mut hits) % IN_LEAF;
             let (distance, triangle) = (distances[i], leaf.triangles[i]);
             if distance < self.distance || (distance == self.distance && triangle < self.triangle) {
                 let [a, b, c] = edges.map(|e| e[i]);
@@ -222,47 +220,47 @@ impl Met {
     }
 }
 
-/// A box that waits, and where the ray enters it.
+/// A box on the stack and the distance at which the ray enters it.
 #[derive(Debug, Clone, Copy, Default)]
-struct Waiting {
+struct Pending {
     child: Child,
-    entered: f32,
+    entry_distance: f32,
 }
 
-impl Waiting {
+impl Pending {
     #[inline(always)]
-    fn take(node: &Node, met: &mut u32, entered: &[f32; WIDTH]) -> Self {
-        let i = take_lowest(met) % WIDTH;
-        Self { child: node.children[i], entered: entered[i] }
+    fn take(node: &Node, hits: &mut u32, entry_distance: &[f32; WIDTH]) -> Self {
+        let i = take_lowest(hits) % WIDTH;
+        Self { child: node.children[i], entry_distance: entry_distance[i] }
     }
 }
 
-/// What waits, the next one last.
+/// The traversal stack.
 struct Stack<T> {
-    waiting: [T; WAITING],
+    entries: [T; STACK],
     len: usize,
-    /// Those below: only hostile geometry makes so many.
+    /// The bottom of the stack: only degenerate geometry needs it.
     spilled: Vec<T>,
 }
 
 impl<T: Copy + Default> Stack<T> {
     #[inline(always)]
     fn new() -> Self {
-        Self { waiting: [T::default(); WAITING], len: 0, spilled: Vec::new() }
+        Self { entries: [T::default(); STACK], len: 0, spilled: Vec::new() }
     }
 
-    /// Makes room for the boxes of a node.
+    /// Ensures space for the boxes of one node.
     #[inline(always)]
     fn make_room(&mut self) {
-        if self.len > WAITING - WIDTH {
-            spill(&mut self.spilled, &self.waiting[..self.len]);
+        if self.len > STACK - WIDTH {
+            spill(&mut self.spilled, &self.entries[..self.len]);
             self.len = 0;
         }
     }
 
     #[inline(always)]
     fn push(&mut self, one: T) {
-        self.waiting[self.len] = one;
+        self.entries[self.len] = one;
         self.len += 1;
     }
 
@@ -272,26 +270,26 @@ impl<T: Copy + Default> Stack<T> {
             return self.spilled.pop();
         }
         self.len -= 1;
-        Some(self.waiting[self.len])
+        Some(self.entries[self.len])
     }
 }
 
-impl Stack<Waiting> {
-    /// Keeps what waits from `start` on in order, the nearest last.
+impl Stack<Pending> {
+    /// Pushes and keeps the entries from `start` on sorted, the nearest last.
     #[inline(always)]
-    fn insert(&mut self, start: usize, one: Waiting) {
+    fn insert(&mut self, start: usize, one: Pending) {
         let mut slot = self.len;
-        while slot > start && self.waiting[slot - 1].entered < one.entered {
-            self.waiting[slot] = self.waiting[slot - 1];
+        while slot > start && self.entries[slot - 1].entry_distance < one.entry_distance {
+            self.entries[slot] = self.entries[slot - 1];
             slot -= 1;
         }
-        self.waiting[slot] = one;
+        self.entries[slot] = one;
         self.len += 1;
     }
 }
 
-/// What waits on the heap waits below. A function of its own, to which only slices are lent, so that the rest of the
-/// stack can live in registers.
+/// Moves entries to the heap. A separate function that borrows only slices, so that the rest of the stack can stay in
+/// registers.
 #[cold]
 #[inline(never)]
 fn spill<T: Copy>(spilled: &mut Vec<T>, waiting: &[T]) {
@@ -303,14 +301,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn more_than_fits_waits_in_order() {
+    fn spilled_entries_keep_their_order() {
         let mut stack = Stack::<u32>::new();
-        let count = 10 * WAITING as u32;
+        let count = 10 * STACK as u32;
         for i in 0..count {
             stack.make_room();
             stack.push(i);
         }
-        assert!(stack.spilled.len() > 8 * WAITING);
+        assert!(stack.spilled.len() > 8 * STACK);
         for i in (0..count).rev() {
             assert_eq!(stack.pop(), Some(i));
         }
@@ -318,14 +316,14 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_box_is_next() {
-        let mut stack = Stack::<Waiting>::new();
-        let below = Waiting { entered: 0.5, ..Waiting::default() };
+    fn the_nearest_box_is_popped_first() {
+        let mut stack = Stack::<Pending>::new();
+        let below = Pending { entry_distance: 0.5, ..Pending::default() };
         stack.push(below);
-        for entered in [3.0, 1.0, 4.0, 1.0, 5.0, 2.0] {
-            stack.insert(1, Waiting { entered, ..Waiting::default() });
+        for entry_distance in [3.0, 1.0, 4.0, 1.0, 5.0, 2.0] {
+            stack.insert(1, Pending { entry_distance, ..Pending::default() });
         }
-        let order: Vec<f32> = std::iter::from_fn(|| stack.pop()).map(|w| w.entered).collect();
+        let order: Vec<f32> = std::iter::from_fn(|| stack.pop()).map(|w| w.entry_distance).collect();
         assert_eq!(order, [1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 0.5]);
     }
 }

@@ -1,23 +1,23 @@
-//! A hierarchy eight boxes wide over leaves of four triangles: what a ray is tested against at once lies side by side.
+//! A bounding volume hierarchy with eight boxes per node and four triangles per leaf, laid out for SIMD tests.
 
 use glam::{Vec3A, Vec4};
 use obvhs::bvh2::Bvh2;
 
-/// Boxes of a node.
+/// Boxes per node.
 pub(super) const WIDTH: usize = 8;
-/// Triangles of a leaf.
+/// Triangles per leaf.
 pub(super) const IN_LEAF: usize = 4;
-/// Cost of testing a leaf's triangles over that of testing a node's boxes.
+/// Cost of testing the triangles of a leaf relative to testing the boxes of a node.
 const LEAF_COST: f32 = 1.0;
 
-/// What a node leads to.
+/// Reference to a leaf or a node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Child(u32);
 
 impl Child {
     const LEAF: u32 = 1 << 31;
 
-    /// The index of a leaf, or else of a node.
+    /// `Ok`: index of a leaf; `Err`: index of a node.
     #[inline(always)]
     pub(super) fn leaf_or_node(self) -> Result<usize, usize> {
         if self.0 & Self::LEAF != 0 { Ok((self.0 & !Self::LEAF) as usize) } else { Err(self.0 as usize) }
@@ -30,11 +30,11 @@ impl Default for Child {
     }
 }
 
-/// Eight boxes and what is in them.
+/// Eight boxes and their children.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Node {
-    /// `[axis][lower, upper][box / 4][box % 4]`; an empty slot is a box turned inside out, which nothing meets.
+    /// `[axis][lower, upper][box / 4][box % 4]`; an empty slot is an inverted box, which no ray hits.
     pub(super) planes: [[[Vec4; 2]; 2]; 3],
     pub(super) children: [Child; WIDTH],
 }
@@ -43,7 +43,7 @@ pub(super) struct Node {
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(super) struct Leaf {
-    /// `[axis][corner][triangle]`; an empty slot is NaN, which nothing meets.
+    /// `[axis][corner][triangle]`; an empty slot is NaN, which no ray hits.
     pub(super) corners: [[Vec4; 3]; 3],
     /// Indices into the mesh's triangles.
     pub(super) triangles: [u32; IN_LEAF],
@@ -74,8 +74,7 @@ pub(super) struct Wide {
 }
 
 impl Wide {
-    /// Collapses a binary hierarchy with one triangle a leaf; `triangle` tells index and corners of each of its
-    /// primitives.
+    /// Collapses a binary hierarchy with one triangle per leaf; `triangle` returns index and corners of a primitive.
     pub(super) fn new(mut binary: Bvh2, triangle: impl Fn(u32) -> (u32, [Vec3A; 3])) -> Self {
         binary.reorder_in_stack_traversal_order();
         let cuts = cheapest_cuts(&binary);
@@ -103,19 +102,19 @@ impl Wide {
     }
 }
 
-/// For every binary node and every i < 8: how to hang what is under it below at most i + 1 boxes of one wide node. That
-/// many boxes go to its first child; 0 where i boxes do as well, and with one box where that is a leaf. With one box
-/// that is a node, the eight boxes of that node are what is shared out.
+/// `[binary node][i]`: the best way to represent the subtree of the binary node by at most i + 1 boxes of one wide node, given
+/// as the number of boxes for its first child. 0 for i > 0: i boxes are as good; 0 for i = 0: the single box is a leaf. Else
+/// for i = 0 the single box is a wide node, whose eight boxes are divided.
 type Cuts = Vec<[u8; WIDTH]>;
 
-/// The cuts of the least expected number of tests, bottom up: Ylitie, Karras and Laine, "Efficient Incoherent Ray
+/// The cuts with the smallest expected number of tests, bottom up: Ylitie, Karras and Laine, "Efficient Incoherent Ray
 /// Traversal on GPUs Through Compressed Wide BVHs" (HPG 2017), section 3.1.
 fn cheapest_cuts(binary: &Bvh2) -> Cuts {
     let count = binary.nodes.len();
     let mut costs = vec![[0.0f32; WIDTH]; count];
     let mut under = vec![0usize; count];
     let mut cuts = vec![[0u8; WIDTH]; count];
-    // Children come after their parents.
+    // Children follow their parents.
     for i in (0..count).rev() {
         let node = &binary.nodes[i];
         let area = node.aabb().half_area();
@@ -147,7 +146,7 @@ fn cheapest_cuts(binary: &Bvh2) -> Cuts {
     cuts
 }
 
-/// Binary nodes whose boxes make a wide node of `root`; `None` for a leaf.
+/// The binary nodes whose boxes form the wide node of `root`; `None` if `root` is a leaf.
 fn children(binary: &Bvh2, cuts: &Cuts, root: usize) -> Option<Vec<usize>> {
     let cut = usize::from(cuts[root][0]);
     let first = binary.nodes[root].first_index as usize;
@@ -159,7 +158,7 @@ fn children(binary: &Bvh2, cuts: &Cuts, root: usize) -> Option<Vec<usize>> {
     })
 }
 
-/// Appends the at most `boxes` binary nodes that what is under `root` hangs below.
+/// Appends the at most `boxes` binary nodes that represent the subtree of `root`.
 fn cut_into(binary: &Bvh2, cuts: &Cuts, root: usize, boxes: usize, found: &mut Vec<usize>) {
     match (1..boxes).rev().find(|&more| cuts[root][more] > 0) {
         None => found.push(root),
@@ -205,7 +204,7 @@ mod tests {
     use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
     use proptest::prelude::*;
 
-    /// Triangles below a child, each within the box that leads to it.
+    /// Collects the triangles below a child and checks that each is inside the boxes above it.
     fn below(wide: &Wide, child: Child, found: &mut Vec<u32>) -> Aabb {
         let mut aabb = Aabb::empty();
         match child.leaf_or_node() {
@@ -232,7 +231,7 @@ mod tests {
     }
 
     proptest! {
-        /// Every triangle is in one leaf, and in all boxes above it.
+        /// Every triangle is in exactly one leaf and inside all boxes above it.
         #[test]
         fn holds_every_triangle_once(seeds in prop::collection::vec(prop::array::uniform9(-1f32..1.0), 1..300)) {
             let triangles: Vec<[Vec3A; 3]> = seeds
