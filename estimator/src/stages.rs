@@ -4,7 +4,7 @@ use crate::api::EstimateError;
 use crate::api::Options;
 use crate::api::Progress;
 use crate::association::response;
-use crate::association::{self, Association, Effort, Setting};
+use crate::association::{self, Association, AssociationContext, AssociationEffort};
 use crate::budget::Plan;
 use crate::budget::cost_model::Size;
 use crate::factorisation::robust_solver;
@@ -96,7 +96,7 @@ pub fn prepare(
     }
     plan.mesh_done(mesh.positions.len());
     let shape = plan.shape();
-    let effort = Effort {
+    let effort = AssociationEffort {
         rounds: plan.most_pose_rounds(),
         stride: shape.keyframe_stride,
         go_on: &mut |round| plan.pose_round(round),
@@ -105,7 +105,7 @@ pub fn prepare(
         association::associate_within(&mesh, &scene, &scan.keyframes, &scan.sensor.response, config, progress, effort);
     plan.association_done();
     let mut decisions = std::mem::take(&mut fields.decisions);
-    let (decision, doubt) = response::verify(&fields, &scan.sensor.response);
+    let (decision, doubt) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);
     decisions.push(decision);
     if fields.lit_weight.iter().all(|w| *w <= 0.0) {
         return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
@@ -262,14 +262,14 @@ pub fn witnesses(
         gloss,
     };
     let graph = Graph::of(&ready.mesh);
-    let setting = Setting::new(&ready.mesh, &graph, &ready.scene, &scan.sensor.response, config);
+    let context = AssociationContext::new(&ready.mesh, &graph, &ready.scene, &scan.sensor.response, config);
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {
         if !plan.witness() {
             plan.leave_out(Cut::Witnesses { predicted: i as u32, of: scan.witnesses.len() as u32 });
             break;
         }
-        compared.extend(validation::compare(&model, &setting, frame, config));
+        compared.extend(validation::compare(&model, &context, frame, config));
     }
     ready.decisions.extend(validation::decision(&compared, config));
     compared.into_iter().map(|c| c.error).collect()

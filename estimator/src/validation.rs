@@ -2,7 +2,8 @@
 
 use crate::association::keyframe_image::{KeyframeImage, distorted};
 use crate::association::pose;
-use crate::association::{Setting, View};
+use crate::association::sampling::colors_of_image;
+use crate::association::{AssociationContext, RefinedView};
 use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
@@ -54,21 +55,26 @@ const ROUNDS: usize = 2;
 
 /// Compares one witness frame; `None` if its picture cannot be read.
 #[must_use]
-pub fn compare(model: &Model, setting: &Setting, frame: &Keyframe, config: &EstimatorConfig) -> Option<Compared> {
+pub fn compare(
+    model: &Model,
+    context: &AssociationContext,
+    frame: &Keyframe,
+    config: &EstimatorConfig,
+) -> Option<Compared> {
     let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
     let tracked = frame.world_from_camera;
-    let seen = |model: &Model, pose: &Pose| pixels(model, setting, &picture, &frame.camera, pose);
+    let seen = |model: &Model, pose: &Pose| pixels(model, context, &picture, &frame.camera, pose);
     let first = seen(model, &tracked);
-    let mut view = View { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
+    let mut view = RefinedView { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
     let mut found = first.clone();
     if config.refine_poses != Switch::Off {
         for _ in 0..ROUNDS {
-            view.world_from_camera = pose::located(setting, &picture, model.lit_color, model.lit_weight, &view);
+            view.world_from_camera = pose::located(context, &picture, model.lit_color, model.lit_weight, &view);
             found = seen(model, &view.world_from_camera);
             view.gain = gains(&found, 1);
         }
     }
-    let (own_color, own_weight) = setting.colors_of(&picture, &view.world_from_camera, config);
+    let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
     let own = seen(&Model { lit_color: &own_color, lit_weight: &own_weight, ..*model }, &view.world_from_camera);
     let looked_at =
         (picture.camera.width as usize).div_ceil(STRIDE) * (picture.camera.height as usize).div_ceil(STRIDE);
@@ -82,7 +88,7 @@ pub fn compare(model: &Model, setting: &Setting, frame: &Keyframe, config: &Esti
         error,
         as_tracked: [psnr(&first, 1), psnr(&first, 2)],
         own_psnr_db: psnr(&own, 1),
-        moved_px: shift(setting, &picture.camera, &tracked, &view.world_from_camera),
+        moved_px: shift(context, &picture.camera, &tracked, &view.world_from_camera),
     })
 }
 
@@ -103,10 +109,16 @@ pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decis
 }
 
 /// What is seen of the model at every so manieth pixel.
-fn pixels(model: &Model, setting: &Setting, picture: &KeyframeImage, lens: &CameraModel, pose: &Pose) -> Vec<Triple> {
-    let mesh = setting.mesh;
+fn pixels(
+    model: &Model,
+    context: &AssociationContext,
+    picture: &KeyframeImage,
+    lens: &CameraModel,
+    pose: &Pose,
+) -> Vec<Triple> {
+    let mesh = context.mesh;
     let points = camera_positions(mesh, pose);
-    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, setting.near);
+    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
     let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
     let rows: Vec<usize> = (0..height).step_by(STRIDE).collect();
     let pixel = |(x, y): (usize, usize)| {
@@ -117,20 +129,20 @@ fn pixels(model: &Model, setting: &Setting, picture: &KeyframeImage, lens: &Came
         }
         let corners = mesh.triangles[triangle as usize];
         let weights = raster.weights(x, y, corners.map(|i| points[i as usize]));
-        let seen = picture.bytes(x, y).map(|b| f64::from(setting.table[b as usize]));
+        let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
         shade(model, corners, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
     };
     rows.par_iter().flat_map_iter(|&y| (0..width).step_by(STRIDE).map(move |x| (x, y))).filter_map(pixel).collect()
 }
 
 /// RMS distance in pixels between where two poses see the vertices that both see.
-fn shift(setting: &Setting, k: &Intrinsics, one: &Pose, other: &Pose) -> f64 {
+fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose) -> f64 {
     let project = |p: DVec3| {
         let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-        let inside = p.z > setting.near && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
+        let inside = p.z > context.near && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
         inside.then(|| DVec2::new(u, v))
     };
-    let pairs = camera_positions(setting.mesh, one).into_iter().zip(camera_positions(setting.mesh, other));
+    let pairs = camera_positions(context.mesh, one).into_iter().zip(camera_positions(context.mesh, other));
     let (sum, count) = pairs
         .filter_map(|(a, b)| Some(project(a)?.distance_squared(project(b)?)))
         .fold((0.0, 0.0), |(s, n), d| (s + d, n + 1.0));

@@ -1,60 +1,68 @@
 //! Exposure gains of the keyframes (Eq. 5), jointly over the whole surface in the log domain.
 //!
-//! Gloss makes surfaces disagree with each other smoothly and by far more than noise, so single vertices cannot tell
-//! which of them is right. Patches can: within one, vertices share their view dependence and their noise averages out.
-//! Each patch says how the keyframes differ over it, and the gains are those that most of the patches agree on.
+//! Gloss changes the colour of surfaces between keyframes smoothly and far more than noise does, so single vertices do not show
+//! which of them are diffuse. Patches do: the vertices of a patch share their view dependence, and their noise averages out.
+//! Each patch measures the differences between its keyframes; the gains are those on which most of the patches agree.
 
-use crate::association::{LightField, Observation};
+use crate::association::light_field::LightField;
+use crate::association::observations::Observation;
+use crate::mesh::cells::{CellVertex, by_cell, groups};
 use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
 use firmware_config::ExposureChoice;
+use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use recordings::decision::{Decision, ExposureModel};
 use recordings::types::Mesh;
 
-/// Edge of a patch in median edges.
-const PATCH_EDGES: f32 = 10.0;
-/// A patch's keyframe counts in full from this sum of weights on.
-const FULL_WEIGHT: f64 = 20.0;
-/// Log deviation that a diffuse patch may show in a good scan. In a worse one, where even the better patches (this share
-/// of all) deviate more, that is the measure.
-const DIFFUSE_LOG: f64 = 0.02;
-const BETTER_SHARE: f64 = 0.25;
-/// A tolerance that nothing exceeds.
-const EVERYTHING: f64 = 1e12;
-/// Rounds of reweighting.
-const ROUNDS: usize = 15;
+/// Observations of less weight are not used.
+const MIN_WEIGHT: f32 = 1e-3;
+/// A tolerance that no deviation exceeds.
+const UNLIMITED: f64 = 1e12;
+/// Groups of patches of similar chromaticity.
+const COLOR_GROUPS: usize = 6;
+/// Rounds of the decomposition of a patch into vertex and keyframe terms; weights change after every second one.
+const PATCH_ROUNDS: usize = 6;
+/// Change of log gains below which the reweighting has converged.
+const CONVERGED_LOG: f64 = 1e-5;
 
-/// How the keyframes differ over a patch: log picture values up to a constant, per keyframe that sees it.
-struct Patch {
-    keyframes: Vec<u16>,
-    logs: Vec<[f64; 3]>,
-    weights: Vec<f64>,
-    color: Vec3,
-    facing: usize,
+/// Log gains per keyframe and channel: `[keyframe][channel]`.
+type LogGains = Vec<[f64; 3]>;
+
+/// Inputs of the estimate.
+pub struct ExposureProblem<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// Its median edge.
+    pub median_edge: f32,
+    /// Number of keyframes.
+    pub keyframes: usize,
+    /// Linear samples below this are not used.
+    pub dark_below: f32,
+    /// Thresholds.
+    pub tuning: &'a ExposureTuning,
 }
 
-/// Gains g_j per channel (picture = gain · radiance), geometric mean 1, and what was decided.
+/// Gains g_j, `[keyframe][channel]` (image = gain · radiance, geometric mean 1), and the evidence if the model was chosen here.
 pub fn solve(
     field: &LightField,
-    mesh: &Mesh,
-    median_edge: f32,
-    keyframes: usize,
+    problem: &ExposureProblem,
     choice: ExposureChoice,
-    dark: f32,
 ) -> (Vec<[f64; 3]>, Option<Decision>) {
+    let keyframes = problem.keyframes;
     let neutral = vec![[1.0; 3]; keyframes];
     if choice == ExposureChoice::None || keyframes < 2 {
         return (neutral, None);
     }
-    let patches = patches(field, mesh, median_edge * PATCH_EDGES, dark);
+    let patches = patches(field, problem);
     if patches.is_empty() {
         return (neutral, None);
     }
     let all: Vec<&Patch> = patches.iter().collect();
-    let start = agreed(&all, keyframes);
-    let fit = |patches: &[&Patch], rgb: bool| refine(patches, start.clone(), rgb);
+    let solver = Solver { keyframes, tuning: problem.tuning };
+    let start = solver.agreed(&all);
+    let fit = |patches: &[&Patch], rgb: bool| solver.refine(patches, start.clone(), rgb);
     let (logs, decision) = match choice {
         ExposureChoice::None => return (neutral, None),
         ExposureChoice::Scalar => (fit(&all, false), None),
@@ -63,54 +71,49 @@ pub fn solve(
             // Gains from one half of the patches have to predict the other half.
             let (half, other): (Vec<_>, Vec<_>) = all.iter().enumerate().partition(|(i, _)| i.is_multiple_of(2));
             let [half, other] = [half, other].map(|h| h.into_iter().map(|p| *p.1).collect::<Vec<&Patch>>());
-            let none = vec![[0.0; 3]; keyframes];
-            let scale = tolerance(&other, &start);
-            let [none, one, three] =
-                [none, fit(&half, false), fit(&half, true)].map(|l| disagreement(&other, &l, scale));
-            let use_rgb = three < 0.9 * one;
-            // No gains at all, if gains predict the held-out patches no better.
-            let use_none = none <= one && !use_rgb;
-            let decision = Decision::Exposure {
-                chosen: match (use_rgb, use_none) {
-                    (true, _) => ExposureModel::Rgb,
-                    (false, true) => ExposureModel::None,
-                    (false, false) => ExposureModel::Scalar,
-                },
-                none,
-                scalar: one,
-                rgb: three,
-                patches: all.len() as u32,
+            let tolerance = solver.tolerance(&other, &start);
+            let [none, scalar, rgb] = [solver.unit(), fit(&half, false), fit(&half, true)]
+                .map(|gains| disagreement(&other, &gains, tolerance));
+            let chosen = if rgb < problem.tuning.rgb_disagreement * scalar {
+                ExposureModel::Rgb
+            } else if none <= scalar {
+                ExposureModel::None
+            } else {
+                ExposureModel::Scalar
             };
-            if use_none {
+            let decision = Decision::Exposure { chosen, none, scalar, rgb, patches: all.len() as u32 };
+            if chosen == ExposureModel::None {
                 return (neutral, Some(decision));
             }
-            (fit(&all, use_rgb), Some(decision))
+            (fit(&all, chosen == ExposureModel::Rgb), Some(decision))
         }
     };
     (logs.iter().map(|l| l.map(libm::exp)).collect(), decision)
 }
 
-/// Surface patches: cubes of space, one per main direction of the normal.
-fn patches(field: &LightField, mesh: &Mesh, size: f32, dark: f32) -> Vec<Patch> {
-    let facing = |n: Vec3| {
-        let a = n.abs();
-        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
-        2 * axis + usize::from(n[axis] < 0.0)
-    };
-    let origin = mesh.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
-    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..mesh.positions.len())
-        .filter(|&i| field.offsets[i + 1] - field.offsets[i] >= 2)
-        .map(|i| {
-            let cell = ((mesh.positions[i] - origin) / size).floor().as_ivec3();
-            (cell.to_array(), facing(mesh.normals[i]), i)
-        })
-        .collect();
-    keyed.sort_unstable();
-    let groups: Vec<&[([i32; 3], usize, usize)]> = keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)).collect();
-    groups.par_iter().filter_map(|g| Patch::new(field, g, dark)).collect()
+/// Differences between the keyframes over a patch: log image values up to a constant.
+struct Patch {
+    /// Keyframes that see the patch.
+    keyframes: Vec<u16>,
+    /// `[keyframe of the patch][channel]`.
+    logs: Vec<[f64; 3]>,
+    /// `[keyframe of the patch]`, 0 to 1.
+    weights: Vec<f64>,
+    /// Mean log colour.
+    color: Vec3,
+    /// Main direction of the normal: 2 · axis + (negative).
+    facing: usize,
 }
 
-/// A usable observation: vertex within the patch, keyframe within the patch, log colour, weight.
+/// Surface patches: cubes of space, one per main direction of the normal.
+fn patches(field: &LightField, problem: &ExposureProblem) -> Vec<Patch> {
+    let size = problem.median_edge * problem.tuning.patch_edges as f32;
+    let vertices = by_cell(problem.mesh, size, |i| field.row(i).len() >= 2);
+    let groups: Vec<&[CellVertex]> = groups(&vertices).collect();
+    groups.par_iter().filter_map(|g| Patch::new(field, g, problem)).collect()
+}
+
+/// A usable observation; vertex and keyframe are numbered within the patch.
 struct Entry {
     vertex: usize,
     keyframe: usize,
@@ -119,12 +122,11 @@ struct Entry {
 }
 
 impl Patch {
-    fn new(field: &LightField, members: &[([i32; 3], usize, usize)], dark: f32) -> Option<Self> {
-        let usable = |o: &&Observation| o.weight > 1e-3 && o.color.iter().all(|&c| c > dark);
+    fn new(field: &LightField, members: &[CellVertex], problem: &ExposureProblem) -> Option<Self> {
+        let usable = |o: &&Observation| o.weight > MIN_WEIGHT && o.color.iter().all(|&c| c > problem.dark_below);
         let mut keyframes: Vec<u16> = Vec::new();
-        let row = |i: usize| &field.observations[field.offsets[i] as usize..field.offsets[i + 1] as usize];
         for m in members {
-            keyframes.extend(row(m.2).iter().filter(usable).map(|o| o.keyframe));
+            keyframes.extend(field.row(m.vertex).iter().filter(usable).map(|o| o.keyframe));
         }
         keyframes.sort_unstable();
         keyframes.dedup();
@@ -134,7 +136,7 @@ impl Patch {
         let mut entries = Vec::new();
         let mut color = Vec3::ZERO;
         for (vertex, m) in members.iter().enumerate() {
-            for o in row(m.2).iter().filter(usable) {
+            for o in field.row(m.vertex).iter().filter(usable) {
                 let log = o.color.map(|c| libm::log(f64::from(c)));
                 let keyframe = keyframes.partition_point(|&k| k < o.keyframe);
                 color += Vec3::from_array(log.map(|l| l as f32));
@@ -143,10 +145,11 @@ impl Patch {
         }
         let color = color / entries.len() as f32;
         let (logs, weights) = two_way(&entries, members.len(), keyframes.len());
-        Some(Self { keyframes, logs, weights, color, facing: members[0].1 })
+        let weights = weights.into_iter().map(|w| w / (w + problem.tuning.half_weight)).collect();
+        Some(Self { keyframes, logs, weights, color, facing: members[0].facing })
     }
 
-    /// Log deviation of every keyframe from what `gains` predict, about the patch's weighted median, and the weights.
+    /// Log deviation of every keyframe of the patch from `gains`, about the patch's weighted median.
     fn deviations(&self, gains: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let relative: Vec<[f64; 3]> = self
             .keyframes
@@ -161,7 +164,7 @@ impl Patch {
         relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
     }
 
-    /// Weighted mean square of the deviations, and the weight of that statement.
+    /// Weighted mean square of the deviations, and the patch's weight.
     fn spread(&self, deviations: &[[f64; 3]]) -> (f64, f64) {
         let total: f64 = self.weights.iter().sum();
         let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
@@ -173,13 +176,14 @@ fn mean_square(d: &[f64; 3]) -> f64 {
     (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
 }
 
-/// log = vertex + keyframe, by turns, with Huber weights; returns the keyframe terms and their capped weights.
+/// Decomposes the logs into vertex + keyframe terms by alternating weighted means with Huber weights. Returns the keyframe
+/// terms and their sums of weights.
 fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3]>, Vec<f64>) {
     let mut by_keyframe = vec![[0.0; 3]; keyframes];
     let mut weights = vec![0.0; keyframes];
     let mut robust: Vec<f64> = entries.iter().map(|e| e.weight).collect();
     let mut by_vertex = vec![[0.0; 3]; vertices];
-    for round in 0..6 {
+    for round in 0..PATCH_ROUNDS {
         average(entries, &robust, &mut by_vertex, |e| e.vertex, |e| by_keyframe[e.keyframe]);
         average(entries, &robust, &mut by_keyframe, |e| e.keyframe, |e| by_vertex[e.vertex]);
         if round % 2 == 1 {
@@ -197,9 +201,10 @@ fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3
     for (e, w) in entries.iter().zip(&robust) {
         weights[e.keyframe] += w;
     }
-    (by_keyframe, weights.into_iter().map(|w| w / (w + FULL_WEIGHT)).collect())
+    (by_keyframe, weights)
 }
 
+/// Weighted means of log − `other` over the entries of every index.
 fn average(
     entries: &[Entry],
     weights: &[f64],
@@ -223,27 +228,65 @@ fn average(
     }
 }
 
-/// Where to start: the gains of that group of patches (all, of one colour, facing one way) with which most patches
-/// agree. A glossy table may well be most of the scene; its patches still do not agree among themselves.
-fn agreed(patches: &[&Patch], keyframes: usize) -> Vec<[f64; 3]> {
-    let mut groups: Vec<Vec<&Patch>> = vec![patches.to_vec()];
-    groups.extend((0..6).map(|f| patches.iter().copied().filter(|p| p.facing == f).collect()));
-    groups.extend(color_groups(patches));
-    let none = vec![[0.0; 3]; keyframes];
-    let mut candidates: Vec<Vec<[f64; 3]>> = groups
-        .par_iter()
-        .filter(|g| !g.is_empty())
-        .map(|g| refine(patches, refine(g, none.clone(), false), false))
-        .collect();
-    // Exposures far apart are beyond what any tolerance reaches from nothing: plain least squares takes them all.
-    candidates.push(refine(patches, reweighted(patches, &none, EVERYTHING, false), false));
-    let scale = candidates.iter().map(|c| tolerance(patches, c)).fold(f64::INFINITY, f64::min);
-    let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
-    let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
-    candidates.into_iter().nth(best).unwrap_or_else(|| vec![[0.0; 3]; keyframes])
+/// The estimate over patches with known number of keyframes and thresholds.
+struct Solver<'a> {
+    keyframes: usize,
+    tuning: &'a ExposureTuning,
 }
 
-/// Patches of like chromaticity, about up to six far-apart seeds.
+impl Solver<'_> {
+    /// No gains.
+    fn unit(&self) -> LogGains {
+        vec![[0.0; 3]; self.keyframes]
+    }
+
+    /// The starting point: gains are estimated from groups of patches (all, of one colour, facing one way); those with which
+    /// most patches agree win. A glossy table may be most of the scene, but its patches do not agree with each other.
+    fn agreed(&self, patches: &[&Patch]) -> LogGains {
+        let mut groups: Vec<Vec<&Patch>> = vec![patches.to_vec()];
+        groups.extend((0..6).map(|f| patches.iter().copied().filter(|p| p.facing == f).collect()));
+        groups.extend(color_groups(patches));
+        let mut candidates: Vec<LogGains> = groups
+            .par_iter()
+            .filter(|g| !g.is_empty())
+            .map(|g| self.refine(patches, self.refine(g, self.unit(), false), false))
+            .collect();
+        // Exposures far apart exceed any tolerance at the start; plain least squares uses every patch.
+        candidates.push(self.refine(patches, reweighted(patches, &self.unit(), UNLIMITED, false), false));
+        let scale = candidates.iter().map(|c| self.tolerance(patches, c)).fold(f64::INFINITY, f64::min);
+        let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
+        let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
+        candidates.into_iter().nth(best).unwrap_or_else(|| self.unit())
+    }
+
+    /// Mean square log deviation up to which a patch agrees: the deviation of a diffuse patch, or that of the better patches
+    /// if theirs is larger.
+    fn tolerance(&self, patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+        let least = self.tuning.diffuse_log * self.tuning.diffuse_log;
+        let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
+        if spreads.is_empty() {
+            return least;
+        }
+        let index = ((spreads.len() - 1) as f64 * self.tuning.better_share) as usize;
+        spreads.select_nth_unstable_by(index, f64::total_cmp).1.max(least)
+    }
+
+    /// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
+    fn refine(&self, patches: &[&Patch], mut gains: LogGains, rgb: bool) -> LogGains {
+        for _ in 0..self.tuning.rounds {
+            let next = reweighted(patches, &gains, self.tolerance(patches, &gains), rgb);
+            let moves = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs());
+            let moved = moves.fold(0.0, f64::max);
+            gains = next;
+            if moved < CONVERGED_LOG {
+                break;
+            }
+        }
+        gains
+    }
+}
+
+/// Patches of similar chromaticity, around seeds that are far apart.
 fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
     let chroma = |p: &Patch| Vec3::new(p.color.x - p.color.y, p.color.z - p.color.y, 0.0);
     let Some(first) = patches.first() else { return Vec::new() };
@@ -252,7 +295,7 @@ fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
         let distance = |s: &Vec3| chroma(p).distance(*s);
         (0..seeds.len()).fold(0, |b, i| if distance(&seeds[i]) < distance(&seeds[b]) { i } else { b })
     };
-    for _ in 1..6 {
+    for _ in 1..COLOR_GROUPS {
         let gap = |p: &Patch| chroma(p).distance(seeds[nearest(p, &seeds)]);
         let far = patches.iter().fold(patches[0], |b, p| if gap(p) > gap(b) { p } else { b });
         seeds.push(chroma(far));
@@ -264,17 +307,7 @@ fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
     groups
 }
 
-/// Mean square log deviation that counts as agreement.
-fn tolerance(patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
-    let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
-    if spreads.is_empty() {
-        return DIFFUSE_LOG * DIFFUSE_LOG;
-    }
-    let index = ((spreads.len() - 1) as f64 * BETTER_SHARE) as usize;
-    spreads.select_nth_unstable_by(index, f64::total_cmp).1.max(DIFFUSE_LOG * DIFFUSE_LOG)
-}
-
-/// Share of the patches' weight that the gains leave unexplained at a tolerance, 0 to 1.
+/// Share of the patches' weight that the gains do not explain at a tolerance, 0 to 1.
 fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for p in patches {
@@ -285,36 +318,23 @@ fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
     sum / f64::max(total, 1e-12)
 }
 
-/// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
-fn refine(patches: &[&Patch], mut gains: Vec<[f64; 3]>, rgb: bool) -> Vec<[f64; 3]> {
-    for _ in 0..ROUNDS {
-        let next = reweighted(patches, &gains, tolerance(patches, &gains), rgb);
-        let moved = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        gains = next;
-        if moved < 1e-5 {
-            break;
-        }
-    }
-    gains
-}
-
-/// One round of it: weights from the deviations at `gains`.
-fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool) -> Vec<[f64; 3]> {
+/// One round of reweighted least squares, with weights from the deviations at `gains`.
+fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool) -> LogGains {
     let n = gains.len();
     let mut matrix = DMatrix::<f64>::zeros(n, n);
     let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
     for p in patches {
         let deviations = p.deviations(gains);
-        // A patch whose views disagree (gloss, wrong pose) tells little with any of them.
+        // A patch whose keyframes disagree (gloss, wrong pose) is unreliable in all of them.
         let (spread, _) = p.spread(&deviations);
-        let trust = tolerance / (tolerance + spread);
+        let agreement = tolerance / (tolerance + spread);
         let weights: Vec<f64> = p
             .weights
             .iter()
             .zip(&deviations)
             .map(|(w, d)| {
                 let x = tolerance / (tolerance + mean_square(d));
-                w * trust * trust * x * x
+                w * agreement * agreement * x * x
             })
             .collect();
         let total: f64 = weights.iter().sum::<f64>().max(1e-12);
@@ -334,10 +354,11 @@ fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool)
     solve_centred(matrix, &right, rgb)
 }
 
-fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool) -> Vec<[f64; 3]> {
+/// Solves for log gains with mean 0, one per keyframe or one per keyframe and channel.
+fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool) -> LogGains {
     let n = matrix.nrows();
     let mean_diagonal = matrix.trace() / n as f64;
-    // The common factor is free, and so is a keyframe without observations: both are held at their prior, 1.
+    // The common factor is free, and so is a keyframe without observations: a weak prior fixes both at gain 1.
     matrix += DMatrix::from_element(n, n, mean_diagonal / n as f64);
     matrix += DMatrix::identity(n, n) * (1e-6 * mean_diagonal + 1e-12);
     let mut logs = vec![[0.0; 3]; n];
@@ -360,8 +381,8 @@ fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool)
 mod tests {
     use super::*;
 
-    /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe
-    /// to keyframe, the same over all of it but for a gentle tilt. The rest is matte and noisy.
+    /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe to
+    /// keyframe, nearly the same over its whole area. The rest is matte and noisy.
     fn field(gains: &[f64]) -> (LightField, Mesh) {
         let mut observations = Vec::new();
         let mut offsets = vec![0];
@@ -385,6 +406,17 @@ mod tests {
         (LightField { observations, offsets }, mesh)
     }
 
+    fn solved(
+        field: &LightField,
+        mesh: &Mesh,
+        keyframes: usize,
+        choice: ExposureChoice,
+        dark_below: f32,
+    ) -> Vec<[f64; 3]> {
+        let tuning = &ExposureTuning::default();
+        solve(field, &ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, tuning }, choice).0
+    }
+
     fn worst_error(found: &[[f64; 3]], gains: &[f64]) -> f64 {
         let mean = gains.iter().map(|g| libm::log(*g)).sum::<f64>() / gains.len() as f64;
         let error = |(f, g): (&[f64; 3], &f64)| (libm::log(f[1]) - libm::log(*g) + mean).abs();
@@ -396,10 +428,10 @@ mod tests {
         let gains = [1.0, 1.2, 1.5, 0.7, 0.8, 1.1, 0.9, 1.0];
         let (field, mesh) = field(&gains);
         for choice in [ExposureChoice::Auto, ExposureChoice::Scalar] {
-            let (found, _) = solve(&field, &mesh, 1.0, gains.len(), choice, 0.004);
+            let found = solved(&field, &mesh, gains.len(), choice, 0.004);
             assert!(worst_error(&found, &gains) < 0.01, "{choice:?}: {}", worst_error(&found, &gains));
         }
-        let (found, _) = solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::None, 0.004);
+        let found = solved(&field, &mesh, gains.len(), ExposureChoice::None, 0.004);
         assert_eq!(found, vec![[1.0; 3]; gains.len()]);
     }
 
@@ -407,7 +439,7 @@ mod tests {
     fn gains_have_geometric_mean_one_and_one_thread_gives_the_same() {
         let gains = [10.0, 0.001, 3.0, 0.5];
         let (field, mesh) = field(&gains);
-        let run = || solve(&field, &mesh, 1.0, gains.len(), ExposureChoice::Rgb, 0.0).0;
+        let run = || solved(&field, &mesh, gains.len(), ExposureChoice::Rgb, 0.0);
         let sum: f64 = run().iter().flatten().map(|g| libm::log(*g)).sum();
         assert!(sum.abs() < 1e-9, "{sum}");
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();

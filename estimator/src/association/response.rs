@@ -1,87 +1,75 @@
-//! Whether the camera's response is the one that the settings state. Two pictures of one thing at two exposures tell: their
-//! linear light differs by one factor, however bright the thing is. Every power of the right response passes that test
-//! alike (Grossberg and Nayar, "Modeling the space of camera response functions", 2004), so a power law is told from sRGB,
-//! but not from another power law.
+//! Test of the camera's response. Two images of one surface at two exposures show linear light that differs by one factor at
+//! every brightness, if the response is right. All powers of the right response pass the test alike (Grossberg and Nayar,
+//! "Modeling the space of camera response functions", 2004): it separates sRGB from a power law, but not two power laws.
 
-use crate::association::Association;
+use crate::association::observations::{Association, Observation};
 use crate::numerics::robust::median;
+use firmware_config::tuning::ResponseTuning;
 use recordings::decision::{Decision, ResponseTest, Warning};
 use recordings::types::Response;
 use std::collections::BTreeMap;
 
-/// Least ratio of exposures that tells anything.
-const LEAST_RATIO: f64 = 1.5;
-/// Observations that two keyframes must share.
-const LEAST_SHARED: usize = 200;
-/// Parts, from dark to bright, in which the factor is measured.
-const LEVELS: usize = 6;
-/// Values outside are too dark or nearly clipped.
-const VALUES: std::ops::Range<f64> = 0.06..0.95;
-/// Change of the factor from dark to bright that may be chance.
-const TOLERATED: f64 = 0.03;
-/// A response fits better if its factor changes less by this.
-const CLEARLY: f64 = 2.0;
-
-/// The decision for the result, and a warning where another response fits better.
-pub fn verify(association: &Association, response: &Response) -> (Decision, Option<Warning>) {
-    let shared = shared(association, response);
+/// The evidence for the stated `response`, and a warning if another response fits better.
+pub fn verify(association: &Association, response: &Response, tuning: &ResponseTuning) -> (Decision, Option<Warning>) {
+    let shared = shared(association, response, tuning);
     let stated = *response;
     let values: usize = shared.values().map(Vec::len).sum();
     let test = (!shared.is_empty()).then(|| {
-        // All powers pass alike, so one stands for them.
+        // One power represents all powers.
         let alternative = if stated == Response::Srgb { Response::Gamma(2.2) } else { Response::Srgb };
         ResponseTest {
             alternative,
-            stated_change: change(&shared, &stated),
-            alternative_change: change(&shared, &alternative),
+            stated_change: change(&shared, tuning.levels, &stated),
+            alternative_change: change(&shared, tuning.levels, &alternative),
         }
     });
-    let contradicted =
-        |t: &ResponseTest| t.stated_change > TOLERATED && t.stated_change >= CLEARLY * t.alternative_change;
+    let contradicted = |t: &ResponseTest| {
+        t.stated_change > tuning.max_change && t.stated_change >= tuning.clear_ratio * t.alternative_change
+    };
     let warning = test.filter(contradicted).map(|t| Warning::ResponseMismatch { stated, better: t.alternative });
     let decision = Decision::Response {
         stated,
         values: values as u32,
-        min_exposure_ratio: LEAST_RATIO,
-        min_shared: LEAST_SHARED as u32,
+        min_exposure_ratio: tuning.min_exposure_ratio,
+        min_shared: tuning.min_shared,
         test,
     };
     (decision, warning)
 }
 
-/// Two keyframes and a channel → values (0..1) of the same points in both.
+/// (keyframe, keyframe, channel) → encoded values (0..1) of the same points in both keyframes.
 type Shared = BTreeMap<(u16, u16, usize), Vec<[f64; 2]>>;
 
-/// Of each vertex, the observation with the least and with the greatest gain.
-fn shared(association: &Association, response: &Response) -> Shared {
+/// The observations with the smallest and the largest gain of each vertex.
+fn shared(association: &Association, response: &Response, tuning: &ResponseTuning) -> Shared {
     let gain = |k: u16| association.views[usize::from(k)].gain;
     let mean_gain = |k: u16| gain(k).iter().product::<f64>();
     let mut shared = Shared::new();
     for row in association.offsets.windows(2) {
         let seen = &association.observations[row[0] as usize..row[1] as usize];
         let by_gain = |a: &&_, b: &&_| {
-            let g = |o: &crate::association::Observation| mean_gain(o.keyframe);
+            let g = |o: &Observation| mean_gain(o.keyframe);
             g(a).total_cmp(&g(b))
         };
         let (Some(low), Some(high)) = (seen.iter().min_by(by_gain), seen.iter().max_by(by_gain)) else { continue };
         let (g_low, g_high) = (gain(low.keyframe), gain(high.keyframe));
-        if libm::cbrt(mean_gain(high.keyframe) / mean_gain(low.keyframe)) < LEAST_RATIO {
+        if libm::cbrt(mean_gain(high.keyframe) / mean_gain(low.keyframe)) < tuning.min_exposure_ratio {
             continue;
         }
         for c in 0..3 {
             let value = |color: f32, gain: f64| value(response, f64::from(color) * gain);
             let pair = [value(low.color[c], g_low[c]), value(high.color[c], g_high[c])];
-            if pair.iter().all(|v| VALUES.contains(v)) {
+            if pair.iter().all(|v| (tuning.min_value..tuning.max_value).contains(v)) {
                 shared.entry((low.keyframe, high.keyframe, c)).or_default().push(pair);
             }
         }
     }
-    shared.retain(|_, pairs| pairs.len() >= LEAST_SHARED);
+    shared.retain(|_, pairs| pairs.len() >= tuning.min_shared as usize);
     shared
 }
 
-/// RMS change of the logarithmic factor between the two pictures over the levels, relative to it.
-fn change(shared: &Shared, response: &Response) -> f64 {
+/// RMS change of the log factor between two images over `levels` of brightness, relative to the factor.
+fn change(shared: &Shared, levels: u32, response: &Response) -> f64 {
     let (mut sum, mut count) = (0.0, 0u32);
     for pairs in shared.values() {
         let mut by_level: Vec<[f64; 2]> = pairs
@@ -90,7 +78,7 @@ fn change(shared: &Shared, response: &Response) -> f64 {
             .collect();
         by_level.sort_by(|a, b| a[0].total_cmp(&b[0]));
         let whole = median(by_level.iter().map(|p| p[1])).unwrap_or(0.0);
-        for level in by_level.chunks(by_level.len().div_ceil(LEVELS)) {
+        for level in by_level.chunks(by_level.len().div_ceil(levels as usize)) {
             let d = median(level.iter().map(|p| p[1])).unwrap_or(0.0) / whole - 1.0;
             if d.is_finite() {
                 sum += d * d;
@@ -109,17 +97,18 @@ fn value(response: &Response, linear: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::association::{Observation, View};
+    use crate::association::observations::RefinedView;
+    use firmware_config::tuning::ExposureTuning;
     use glam::Vec3;
     use recordings::types::Pose;
 
-    /// A thing of many shades, photographed by a camera with response `real` at two exposures `ratio` apart, and
-    /// associated with response `stated`.
+    /// A surface of many shades, taken by a camera with response `real` at two exposures `ratio` apart, and associated with
+    /// response `stated`.
     fn association(real: Response, stated: Response, ratio: f64) -> Association {
         let n = 4000;
         let mut observations = Vec::new();
         let gain = |c: usize| {
-            // What Eq. (5) finds: a median of ratios.
+            // The solution of Eq. (5): a median of ratios.
             let shades = (0..n).map(|i| (i as f64 + 0.5) / f64::from(n));
             let l = |x: f64| stated.linear_from_value(value(&real, x));
             let ratios = shades.map(|s| l(0.5 * s) / l(0.5 * s / ratio));
@@ -137,7 +126,7 @@ mod tests {
                 observations.push(Observation { vertex: i as u32, keyframe: k as u16, color, weight: 1.0 });
             }
         }
-        let view = |gain| View { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };
+        let view = |gain| RefinedView { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };
         Association {
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],
@@ -146,11 +135,12 @@ mod tests {
             offsets: (0..=n as u32).map(|i| 2 * i).collect(),
             decisions: Vec::new(),
             dark_below: 0.004,
+            exposure: ExposureTuning::default(),
         }
     }
 
     #[test]
-    fn a_right_response_is_confirmed_and_a_wrong_one_told() {
+    fn a_right_response_is_confirmed_and_a_wrong_one_reported() {
         let (linear, gamma) = (Response::Linear, Response::Gamma(2.2));
         for (real, stated, fits) in [
             (Response::Srgb, Response::Srgb, true),
@@ -163,14 +153,15 @@ mod tests {
             (Response::Srgb, gamma, false),
             (Response::Srgb, linear, false),
         ] {
-            let (decision, warning) = verify(&association(real, stated, 4.0), &stated);
+            let (decision, warning) = verify(&association(real, stated, 4.0), &stated, &ResponseTuning::default());
             assert_eq!(warning.is_none(), fits, "{real:?} as {stated:?}: {decision:?} {warning:?}");
         }
     }
 
     #[test]
-    fn what_cannot_be_told_is_not_claimed() {
-        let (decision, warning) = verify(&association(Response::Srgb, Response::Srgb, 1.3), &Response::Srgb);
+    fn exposures_too_close_are_not_tested() {
+        let (decision, warning) =
+            verify(&association(Response::Srgb, Response::Srgb, 1.3), &Response::Srgb, &ResponseTuning::default());
         assert!(warning.is_none() && matches!(decision, Decision::Response { test: None, .. }), "{decision:?}");
     }
 }

@@ -1,6 +1,7 @@
 //! Mesh regularisation (§3.1): unit normals, no degenerate triangles and, for meshes fused from depth, edges of about one
 //! length (isotropic remeshing after Botsch and Kobbelt 2004).
 
+use crate::mesh::cells::{by_cell, groups};
 use crate::mesh::surface::Surface;
 use crate::numerics::robust::median;
 use crate::rays::{Hit, RayScene};
@@ -59,22 +60,13 @@ pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
     if vertices >= fine.positions.len() || fine.triangles.is_empty() || !(cell > 0.0 && cell.is_finite()) {
         return fine;
     }
-    let origin = fine.positions.iter().copied().fold(Vec3::INFINITY, Vec3::min);
-    let key = |i: usize| {
-        let (p, n) = (((fine.positions[i] - origin) / cell).floor().as_ivec3(), fine.normals[i]);
-        let a = n.abs();
-        let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.z > a.y) };
-        (p.to_array(), 2 * axis + usize::from(n[axis] < 0.0), i)
-    };
-    let mut keyed: Vec<([i32; 3], usize, usize)> = (0..fine.positions.len()).into_par_iter().map(key).collect();
-    keyed.par_sort_unstable();
     let mut cluster = vec![0u32; fine.positions.len()];
     let (mut positions, mut normals) = (Vec::new(), Vec::new());
-    for group in keyed.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
-        let sum = |of: &[Vec3]| group.iter().map(|k| of[k.2]).sum::<Vec3>();
-        group.iter().for_each(|k| cluster[k.2] = positions.len() as u32);
+    for group in groups(&by_cell(&fine, cell, |_| true)) {
+        let sum = |of: &[Vec3]| group.iter().map(|k| of[k.vertex]).sum::<Vec3>();
+        group.iter().for_each(|k| cluster[k.vertex] = positions.len() as u32);
         positions.push(sum(&fine.positions) / group.len() as f32);
-        normals.push(sum(&fine.normals).normalize_or(fine.normals[group[0].2]));
+        normals.push(sum(&fine.normals).normalize_or(fine.normals[group[0].vertex]));
     }
     let triangles = fine.triangles.iter().map(|t| t.map(|i| cluster[i as usize])).collect();
     let raw = Mesh { positions, normals, triangles };

@@ -3,15 +3,23 @@
 //! A scan stores only those that differ from their default, so that it is estimated again with the defaults of the program
 //! that does it.
 
+mod association;
 mod distance_check;
+mod exposure;
 mod mesh;
+mod pose;
+mod response;
 mod segmentation;
 mod tracking;
 
 use crate::settings::tuning;
 
+pub use association::AssociationTuning;
 pub use distance_check::DistanceCheckTuning;
+pub use exposure::ExposureTuning;
 pub use mesh::MeshTuning;
+pub use pose::PoseTuning;
+pub use response::ResponseTuning;
 pub use segmentation::SegmentationTuning;
 pub use tracking::TrackingTuning;
 
@@ -22,6 +30,14 @@ tuning! {
         distance_check: DistanceCheckTuning;
         /// Mesh regularisation.
         mesh: MeshTuning;
+        /// Data association.
+        association: AssociationTuning;
+        /// Exposures.
+        exposure: ExposureTuning;
+        /// Pose refinement.
+        pose: PoseTuning;
+        /// Test of the camera's response.
+        response: ResponseTuning;
         /// Segmentation into materials.
         segmentation: SegmentationTuning;
     }

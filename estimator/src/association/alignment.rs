@@ -1,0 +1,218 @@
+//! Lucas–Kanade alignment of one keyframe: Gauss–Newton on the differences between its image and the predicted image at edge
+//! pixels, with Tukey weights and a prior on the total motion.
+
+use crate::association::context::AssociationContext;
+use crate::association::keyframe_image::KeyframeImage;
+use crate::association::observations::RefinedView;
+use crate::association::predicted_image::{ImageLevel, PredictedImage};
+use crate::numerics::robust::median;
+use firmware_config::tuning::PoseTuning;
+use glam::{DVec3, Vec3};
+use nalgebra::{SMatrix, SVector};
+use recordings::types::{Intrinsics, Pose};
+
+/// Tukey's constant in robust scales.
+const TUKEY: f64 = 4.685;
+/// Lower bound of the robust scale of residuals, in square roots of light.
+const MIN_SCALE: f64 = 1e-3;
+
+/// (rotation vector, translation) in the camera's frame.
+pub type Motion = SVector<f64, 6>;
+type Matrix6 = SMatrix<f64, 6, 6>;
+
+/// The result of one keyframe at one pyramid level.
+pub struct Alignment {
+    /// `world_from_camera`.
+    pub pose: Pose,
+    /// Sum of all steps since the given pose.
+    pub moved: Motion,
+    /// RMS motion of the edge pixels at full resolution.
+    pub step_px: f64,
+    /// Mean Tukey loss before.
+    pub before: f64,
+    /// Mean Tukey loss after.
+    pub after: f64,
+}
+
+/// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
+/// given pose, on which the prior acts. `None` if there are too few edge pixels or the system is singular.
+pub fn align(
+    context: &AssociationContext,
+    image: &KeyframeImage,
+    colors: &[Vec3],
+    view: &RefinedView,
+    moved: &Motion,
+    level: f64,
+) -> Option<Alignment> {
+    let tuning = &context.config.tuning.pose;
+    let target = ImageLevel::new(image, context, level);
+    let pixels = edge_pixels(&PredictedImage::new(context, &target, colors, view), tuning.min_edge_strength as f32);
+    if pixels.len() < tuning.min_edge_pixels as usize {
+        return None;
+    }
+    let depth = median(pixels.iter().map(|p| p.point.z))?;
+    let prior = Motion::from_fn(|r, _| {
+        let sigma = tuning.prior_px / target.camera.fx.abs() * level * if r < 3 { 1.0 } else { depth };
+        1.0 / (sigma * sigma)
+    });
+    let problem = Problem { target, pixels, prior, tuning };
+    let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
+    let mut residuals = problem.residuals(&delta);
+    let scale = problem.robust_scale(&residuals)?;
+    let before = tukey_cost(&residuals, scale);
+    let mut best = (before, delta, moved_now);
+    for _ in 0..tuning.gauss_newton_steps {
+        let (step, step_px) = problem.gauss_newton_step(&residuals, &delta, &moved_now)?;
+        delta = Pose::exp(DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5])).compose(&delta);
+        moved_now += step;
+        if step_px < tuning.settled_px {
+            break;
+        }
+        residuals = problem.residuals(&delta);
+        let cost = tukey_cost(&residuals, scale);
+        if cost < best.0 {
+            best = (cost, delta, moved_now);
+        }
+    }
+    let (after, delta, moved_now) = best;
+    if after >= before {
+        return Some(Alignment { pose: view.world_from_camera, moved: *moved, step_px: 0.0, before, after: before });
+    }
+    Some(Alignment {
+        pose: view.world_from_camera.compose(&delta.inverse()),
+        moved: moved_now,
+        step_px: problem.rms_shift_px(&delta) / level,
+        before,
+        after,
+    })
+}
+
+/// An edge pixel of the predicted image.
+struct EdgePixel {
+    /// Surface point in the camera's frame.
+    point: DVec3,
+    /// Gradient of every channel per pixel.
+    du: Vec3,
+    dv: Vec3,
+    color: Vec3,
+}
+
+fn edge_pixels(predicted: &PredictedImage, min_strength: f32) -> Vec<EdgePixel> {
+    let (w, h) = (predicted.width, predicted.height);
+    let mut pixels = Vec::new();
+    for y in 1..h.saturating_sub(1) {
+        for x in 1..w.saturating_sub(1) {
+            let i = y * w + x;
+            let du = 0.5 * (predicted.color[i + 1] - predicted.color[i - 1]);
+            let dv = 0.5 * (predicted.color[i + w] - predicted.color[i - w]);
+            let strength = du.length_squared() + dv.length_squared();
+            let depth = predicted.depth[i];
+            // Written so that NaN fails too.
+            if !(strength > min_strength && depth.is_finite()) {
+                continue;
+            }
+            let k = &predicted.camera;
+            let z = f64::from(depth);
+            let point = DVec3::new((x as f64 - k.cx) / k.fx * z, (y as f64 - k.cy) / k.fy * z, z);
+            pixels.push(EdgePixel { point, du, dv, color: predicted.color[i] });
+        }
+    }
+    pixels
+}
+
+/// The least-squares problem of one keyframe at one level.
+struct Problem<'a> {
+    target: ImageLevel,
+    pixels: Vec<EdgePixel>,
+    /// Information of the prior on the total motion, per unknown.
+    prior: Motion,
+    tuning: &'a PoseTuning,
+}
+
+impl Problem<'_> {
+    /// Image minus prediction at an edge pixel's point moved by `delta`; `None` outside the image or where it is clipped.
+    fn difference(&self, delta: &Pose, pixel: &EdgePixel) -> Option<Vec3> {
+        let q = delta.transform(pixel.point);
+        if q.z <= 0.0 {
+            return None;
+        }
+        let k = &self.target.camera;
+        let d = self.target.sample(k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy)? - pixel.color;
+        (!d.is_nan()).then_some(d)
+    }
+
+    /// RMS difference over the channels, `[edge pixel]`; NaN where there is none.
+    fn residuals(&self, delta: &Pose) -> Vec<f32> {
+        let rms = |d: Vec3| (d.length_squared() / 3.0).sqrt();
+        self.pixels.iter().map(|p| self.difference(delta, p).map_or(f32::NAN, rms)).collect()
+    }
+
+    /// Median residual; `None` if too few pixels have one.
+    fn robust_scale(&self, residuals: &[f32]) -> Option<f64> {
+        let valid = residuals.iter().copied().filter(|r| !r.is_nan());
+        let enough = valid.clone().count() >= self.tuning.min_edge_pixels as usize;
+        enough.then(|| median(valid)).flatten().map(|m| f64::from(m).max(MIN_SCALE))
+    }
+
+    /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.
+    fn gauss_newton_step(&self, residuals: &[f32], delta: &Pose, moved: &Motion) -> Option<(Motion, f64)> {
+        let (mut hessian, mut gradient, mut motion) = (Matrix6::zeros(), Motion::zeros(), Matrix6::zeros());
+        let scale = self.robust_scale(residuals)?;
+        for (p, &r) in self.pixels.iter().zip(residuals) {
+            let x = f64::from(r) / (scale * TUKEY);
+            if x.is_nan() || x >= 1.0 {
+                continue;
+            }
+            let weight = (1.0 - x * x) * (1.0 - x * x);
+            let Some(difference) = self.difference(delta, p) else { continue };
+            let (ju, jv) = jacobian(delta.transform(p.point), &self.target.camera);
+            let (uu, uv, vv) = (p.du.dot(p.du), p.du.dot(p.dv), p.dv.dot(p.dv));
+            let (gu, gv) = (p.du.dot(difference), p.dv.dot(difference));
+            let (uu, uv, vv) = (f64::from(uu) * weight, f64::from(uv) * weight, f64::from(vv) * weight);
+            let (gu, gv) = (f64::from(gu) * weight, f64::from(gv) * weight);
+            let (a, b) = (ju * uu + jv * uv, ju * uv + jv * vv);
+            hessian += a * ju.transpose() + b * jv.transpose();
+            gradient += ju * gu + jv * gv;
+            motion += ju * ju.transpose() + jv * jv.transpose();
+        }
+        // Residuals of neighbouring pixels are correlated.
+        let information = 1.0 / (scale * scale * self.tuning.pixels_per_observation);
+        hessian *= information;
+        gradient *= information;
+        hessian += Matrix6::from_diagonal(&self.prior);
+        gradient += self.prior.component_mul(moved);
+        let step = -(hessian.cholesky()?.solve(&gradient));
+        let square = (step.transpose() * motion * step)[0] / self.pixels.len() as f64;
+        step.iter().all(|x| x.is_finite()).then(|| (step, square.sqrt()))
+    }
+
+    /// RMS motion in pixels of the edge pixels under `delta`.
+    fn rms_shift_px(&self, delta: &Pose) -> f64 {
+        let k = &self.target.camera;
+        let square = |p: &EdgePixel| {
+            let q = delta.transform(p.point);
+            let (du, dv) = (k.fx * (q.x / q.z - p.point.x / p.point.z), k.fy * (q.y / q.z - p.point.y / p.point.z));
+            du * du + dv * dv
+        };
+        (self.pixels.iter().map(square).sum::<f64>() / self.pixels.len() as f64).sqrt()
+    }
+}
+
+/// Derivatives of (u, v) by a [`Motion`] of the point q in the camera's frame.
+fn jacobian(q: DVec3, k: &Intrinsics) -> (Motion, Motion) {
+    let (fx, fy) = (k.fx, k.fy);
+    let (x, y, z) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
+    (
+        Motion::from([-fx * x * y, fx * (1.0 + x * x), -fx * y, fx * z, 0.0, -fx * x * z]),
+        Motion::from([-fy * (1.0 + y * y), fy * x * y, fy * x, 0.0, fy * z, -fy * y * z]),
+    )
+}
+
+/// Mean Tukey loss, 0 to 1; pixels without a residual have the full loss, so that leaving the image is no gain.
+fn tukey_cost(residuals: &[f32], scale: f64) -> f64 {
+    let loss = |&r: &f32| {
+        let x = f64::from(r) / (scale * TUKEY);
+        if x < 1.0 { 1.0 - (1.0 - x * x) * (1.0 - x * x) * (1.0 - x * x) } else { 1.0 }
+    };
+    residuals.iter().map(loss).sum::<f64>() / residuals.len() as f64
+}

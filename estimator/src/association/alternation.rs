@@ -1,0 +1,108 @@
+//! The alternation of Eqs. (2)–(5): samples, exposures, lit colours and poses in turn.
+
+use crate::api::Progress;
+use crate::association::context::AssociationContext;
+use crate::association::eligibility::EligibilityRules;
+use crate::association::exposure::{self, ExposureProblem};
+use crate::association::keyframe_image::KeyframeImage;
+use crate::association::light_field::LightField;
+use crate::association::lit_color::lit_colors;
+use crate::association::observations::{Association, RefinedView};
+use crate::association::pose::PoseRefiner;
+use crate::mesh::graph::Graph;
+use crate::rays::RayScene;
+use firmware_config::{EstimatorConfig, Switch};
+use rayon::prelude::*;
+use recordings::types::{Keyframe, Mesh, Response};
+
+/// Limits on the time that association takes.
+pub struct AssociationEffort<'a> {
+    /// Largest number of rounds of pose refinement.
+    pub rounds: u32,
+    /// Every `stride`-th keyframe is used.
+    pub stride: usize,
+    /// Called before every round with its number; `false` ends the refinement.
+    pub go_on: &'a mut dyn FnMut(u32) -> bool,
+}
+
+/// Data association (Eqs. 2–5) until it converges.
+pub fn associate(
+    mesh: &Mesh,
+    scene: &RayScene,
+    keyframes: &[Keyframe],
+    response: &Response,
+    config: &EstimatorConfig,
+    progress: &dyn Progress,
+) -> Association {
+    let effort = AssociationEffort { rounds: config.association_rounds, stride: 1, go_on: &mut |_| true };
+    associate_within(mesh, scene, keyframes, response, config, progress, effort)
+}
+
+/// Data association (Eqs. 2–5) within an effort.
+pub fn associate_within(
+    mesh: &Mesh,
+    scene: &RayScene,
+    keyframes: &[Keyframe],
+    response: &Response,
+    config: &EstimatorConfig,
+    progress: &dyn Progress,
+    effort: AssociationEffort,
+) -> Association {
+    let graph = Graph::of(mesh);
+    let context = AssociationContext::new(mesh, &graph, scene, response, config);
+    let images: Vec<Option<KeyframeImage>> = keyframes
+        .par_iter()
+        .enumerate()
+        .map(|(j, k)| if j % effort.stride == 0 { KeyframeImage::new(&k.color, &k.camera) } else { None })
+        .collect();
+    let mut views: Vec<RefinedView> = keyframes
+        .iter()
+        .map(|k| RefinedView { world_from_camera: k.world_from_camera, gain: [1.0; 3], residual_px: 0.0 })
+        .collect();
+    let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
+    let rounds = if refine { effort.rounds } else { 1 };
+    let problem = ExposureProblem {
+        mesh,
+        median_edge: context.median_edge,
+        keyframes: keyframes.len(),
+        dark_below: config.dark_below as f32,
+        tuning: &config.tuning.exposure,
+    };
+    let mut refiner = PoseRefiner::new(keyframes.len());
+    for round in 0..rounds {
+        progress.stage("association", f64::from(round) / f64::from(rounds));
+        if !refine || !(effort.go_on)(round) {
+            break;
+        }
+        let relaxed = f64::from(round) / f64::from(rounds);
+        let rules = EligibilityRules::new(config, relaxed);
+        let field = LightField::gather(&context, &images, &views, &rules, None); // Eqs. (3), (4)
+        let (gains, _) = exposure::solve(&field, &problem, config.exposure); // Eq. (5)
+        views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
+        let lit = lit_colors(&field, &views); // Eq. (2)
+        if !refiner.step(&context, &images, &field, &lit, &mut views, round) {
+            break;
+        }
+    }
+    let rules = EligibilityRules::new(config, 1.0);
+    let field = LightField::gather(&context, &images, &views, &rules, Some(rules.last_resort()));
+    let (gains, decision) = exposure::solve(&field, &problem, config.exposure);
+    views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
+    let lit = lit_colors(&field, &views);
+    progress.stage("association", 1.0);
+    let mut observations = field.observations;
+    observations.par_iter_mut().for_each(|o| {
+        let gain = views[o.keyframe as usize].gain;
+        o.color = std::array::from_fn(|c| o.color[c] / gain[c] as f32);
+    });
+    Association {
+        lit_color: lit.color,
+        lit_weight: lit.weight,
+        views,
+        observations,
+        offsets: field.offsets,
+        decisions: decision.into_iter().chain([refiner.decision(refine)]).collect(),
+        dark_below: config.dark_below as f32,
+        exposure: config.tuning.exposure.clone(),
+    }
+}

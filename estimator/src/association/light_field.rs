@@ -1,0 +1,69 @@
+//! The observations of all keyframes, by vertex.
+
+use crate::association::context::AssociationContext;
+use crate::association::eligibility::EligibilityRules;
+use crate::association::keyframe_image::KeyframeImage;
+use crate::association::observations::{Observation, RefinedView};
+use crate::association::sampling::{KeyframeObservations, observe};
+use rayon::prelude::*;
+
+/// Observations before exposure: `color` is the linear value f~_ij of the image itself.
+pub struct LightField {
+    /// Sorted by vertex, then keyframe.
+    pub observations: Vec<Observation>,
+    /// Row starts in `observations`: `[vertex + 1]`.
+    pub offsets: Vec<u32>,
+}
+
+impl LightField {
+    /// Observations under `rules`, with those of `last_resort` at vertices that have no better ones. Keyframes without an
+    /// image give none.
+    pub fn gather(
+        context: &AssociationContext,
+        images: &[Option<KeyframeImage>],
+        views: &[RefinedView],
+        rules: &EligibilityRules,
+        last_resort: Option<EligibilityRules>,
+    ) -> Self {
+        let per_view: Vec<KeyframeObservations> = images
+            .par_iter()
+            .zip(views)
+            .enumerate()
+            .map(|(j, (image, view))| match image {
+                Some(image) => observe(context, image, &view.world_from_camera, j as u16, rules, last_resort),
+                None => KeyframeObservations::default(),
+            })
+            .collect();
+        let n = context.mesh.positions.len();
+        let mut well_seen = vec![false; n];
+        per_view.iter().flat_map(|v| &v.good).for_each(|o| well_seen[o.vertex as usize] = true);
+        let kept = || {
+            let poor = per_view.iter().flat_map(|v| &v.poor).filter(|o| !well_seen[o.vertex as usize]);
+            per_view.iter().flat_map(|v| &v.good).chain(poor)
+        };
+        let mut offsets = vec![0_u32; n + 1];
+        kept().for_each(|o| offsets[o.vertex as usize + 1] += 1);
+        for i in 0..n {
+            offsets[i + 1] += offsets[i];
+        }
+        let mut cursor = offsets.clone();
+        let blank = Observation { vertex: 0, keyframe: 0, color: [0.0; 3], weight: 0.0 };
+        let mut observations = vec![blank; offsets[n] as usize];
+        for o in kept() {
+            let at = &mut cursor[o.vertex as usize];
+            observations[*at as usize] = *o;
+            *at += 1;
+        }
+        Self { observations, offsets }
+    }
+
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Observations of a vertex.
+    pub fn row(&self, vertex: usize) -> &[Observation] {
+        &self.observations[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
+    }
+}

@@ -1,0 +1,51 @@
+//! The result of association: observations of the vertices by the keyframes, lit colours, exposures and poses.
+
+use firmware_config::tuning::ExposureTuning;
+use glam::Vec3;
+use recordings::decision::Decision;
+use recordings::types::Pose;
+
+/// The sample of one keyframe at one vertex.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Index of the vertex.
+    pub vertex: u32,
+    /// Index of the keyframe.
+    pub keyframe: u16,
+    /// Linear RGB: e_j f~_ij, after exposure.
+    pub color: [f32; 3],
+    /// Reliability, 0 to 1, from viewing angle, resolution and clipping.
+    pub weight: f32,
+}
+
+/// Pose and exposure of a keyframe after association.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RefinedView {
+    /// Refined pose.
+    pub world_from_camera: Pose,
+    /// Gain g_j = 1/e_j per channel; geometric mean 1 over keyframes and channels.
+    pub gain: [f64; 3],
+    /// RMS of the last Lucas–Kanade step in pixels; 0 if the pose was not refined.
+    pub residual_px: f64,
+}
+
+/// The surface light field and the values estimated from it.
+#[derive(Clone)]
+pub struct Association {
+    /// f: robust lit colour, linear RGB, `[vertex]`.
+    pub lit_color: Vec<Vec3>,
+    /// Sum of the weights behind it, `[vertex]`; 0 for vertices that were never seen.
+    pub lit_weight: Vec<f32>,
+    /// `[keyframe]`.
+    pub views: Vec<RefinedView>,
+    /// Every observation, sorted by vertex, then keyframe.
+    pub observations: Vec<Observation>,
+    /// Row starts in `observations`: `[vertex + 1]`.
+    pub offsets: Vec<u32>,
+    /// Exposure model and pose refinement, with their evidence.
+    pub decisions: Vec<Decision>,
+    /// Linear samples below this are not used for exposures.
+    pub dark_below: f32,
+    /// Thresholds of the exposure estimate.
+    pub exposure: ExposureTuning,
+}

@@ -1,0 +1,27 @@
+//! Thresholds of pose refinement.
+
+use crate::settings::section;
+
+section! {
+    /// Pose refinement of the keyframes (Lucas–Kanade).
+    PoseTuning = "pose" {
+        /// Largest number of Gauss–Newton steps at a pyramid level. Source: measured on the rendered scenes.
+        gauss_newton_steps: u32 = 8, [1..=1000], "steps", "";
+        /// A smaller step ends a pyramid level. Source: far below the pose error.
+        settled_px: f64 = 0.01, [0.0..=10.0], "px", "";
+        /// A smaller RMS step over all keyframes ends the refinement. Source: measured on the rendered scenes.
+        converged_px: f64 = 0.05, [0.0..=10.0], "px", "";
+        /// Pixels that count as one independent observation: errors of neighbouring pixels are correlated. Source: measured on the rendered scenes.
+        pixels_per_observation: f64 = 25.0, [1.0..=1e6], "px", "";
+        /// Standard deviation of the given poses, which the prior assumes. Source: tracking errors on recordings.
+        prior_px: f64 = 5.0, [1e-3..=1e6], "px", "";
+        /// Rings of unseen vertices that take their neighbours' lit colour in the predicted image. Source: measured on the rendered scenes.
+        fill_rings: u32 = 8, [0..=1000], "edges", "";
+        /// Smallest number of edge pixels with which a keyframe is aligned. Source: far above the six unknowns.
+        min_edge_pixels: u32 = 50, [6..=1000000], "px", "";
+        /// Smallest squared gradient of an edge pixel, in square roots of linear light per pixel. Source: above the noise of an 8-bit image.
+        min_edge_strength: f64 = 3e-5, [0.0..=1.0], "", "";
+        /// Pixels around the mesh's outline that may still show the mesh. Source: measured on scans.
+        outline_px: u32 = 4, [0..=64], "px", "";
+    }
+}
