@@ -1,7 +1,7 @@
 //! Shape diameter (Shapira, Shamir and Cohen-Or 2008): the thickness of the object below a vertex.
 
 use crate::mesh::graph::Graph;
-use crate::numerics::random::{hash, unit};
+use crate::numerics::random::unit;
 use crate::rays::RayScene;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -47,7 +47,7 @@ fn diameter(mesh: &Mesh, scene: &RayScene, vertex: usize, rays: usize, seed: u32
     }
     let (tangent, bitangent) = inwards.any_orthonormal_pair();
     let origin = scene.offset_origin(mesh.positions[vertex], inwards);
-    let turn = unit(hash(vertex as u32, seed));
+    let turn = unit(lowbias32(seed ^ lowbias32(vertex as u32)));
     let mut lengths = Vec::with_capacity(rays);
     for ray in 0..rays {
         // Golden-angle spiral over the cone, turned by a random angle per vertex.
@@ -74,4 +74,13 @@ fn diameter(mesh: &Mesh, scene: &RayScene, vertex: usize, rays: usize, seed: u32
     let sigma = (lengths.iter().map(|l| (l - mean) * (l - mean)).sum::<f32>() / lengths.len() as f32).sqrt();
     let near: Vec<f32> = lengths.into_iter().filter(|l| (l - median).abs() <= sigma.max(1e-6 * median)).collect();
     Some(near.iter().sum::<f32>() / near.len() as f32)
+}
+
+/// Wellons' 32-bit hash. Not `numerics::random::hash`: other angles would move segment borders of existing results.
+fn lowbias32(mut x: u32) -> u32 {
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x7feb_352d);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x846c_a68b);
+    x ^ (x >> 16)
 }
