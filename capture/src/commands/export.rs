@@ -31,7 +31,7 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Glb => {
             check_parent(output)?;
-            estimator::export::glb::write(&Estimate::read(&args.file)?, output).map_err(written)?;
+            estimator::export::glb::scene::write(&Estimate::read(&args.file)?, output).map_err(written)?;
         }
         ExportTo::Exr => {
             check_parent(output)?;

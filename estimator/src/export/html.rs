@@ -4,6 +4,8 @@
 use crate::export::picture::encode_rgb;
 use crate::rays::RayScene;
 use crate::transfer::{Transfer, bounce, trace};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -116,7 +118,7 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         .replace("/*STYLE*/", STYLE)
         .replace("<!--PREVIEW-->", &preview)
         .replace("/*FACTS*/", &facts)
-        .replace("/*DATA*/", &base64(&data))
+        .replace("/*DATA*/", &STANDARD.encode(&data))
         .replace("/*SCRIPT*/", &format!("\"use strict\";\n(() => {{\n{}}})();\n", SCRIPT.concat())))
 }
 
@@ -172,7 +174,7 @@ fn pictures(result: &Estimate, scan: Option<&Scan>) -> Result<Vec<String>> {
         .map_while(|k| find(&k.name))
         .map(|k| {
             let image = reduced(&k.color.decode().map_err(Error::other)?);
-            Ok(base64(&encode_rgb(image.width, image.height, &image.data)?))
+            Ok(STANDARD.encode(encode_rgb(image.width, image.height, &image.data)?))
         })
         .collect()
 }
@@ -191,29 +193,10 @@ fn reduced(image: &RgbImage) -> RgbImage {
     RgbImage { width, height, data }
 }
 
-fn base64(bytes: &[u8]) -> String {
-    const ALPHABET: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
-    for chunk in bytes.chunks(3) {
-        let x = chunk.iter().fold(0u32, |x, b| x << 8 | u32::from(*b)) << (8 * (3 - chunk.len()));
-        for i in 0..4 {
-            let digit = ALPHABET[(x >> (18 - 6 * i) & 63) as usize] as char;
-            out.push(if i > chunk.len() { '=' } else { digit });
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::export::testing::tiny;
-
-    #[test]
-    fn base64_is_that_of_rfc_4648() {
-        let say = |s: &str| base64(s.as_bytes());
-        assert_eq!([say(""), say("f"), say("fo"), say("foo"), say("foob")], ["", "Zg==", "Zm8=", "Zm9v", "Zm9vYg=="]);
-    }
 
     #[test]
     fn the_page_is_whole_and_a_name_cannot_leave_its_place() {

@@ -2,7 +2,7 @@
 
 use exr::prelude::WritableImage as _;
 use glam::Vec3;
-use std::io::{BufWriter, Error, Result};
+use std::io::{BufWriter, Error, Result, Write};
 use std::path::Path;
 
 /// Writes 8-bit RGB (`3 width height` bytes).
@@ -11,35 +11,40 @@ use std::path::Path;
 /// The disk is full or gone.
 pub fn write_png(path: &Path, width: u32, height: u32, bytes: &[u8]) -> Result<()> {
     super::write_whole(path, |file| {
-        let mut encoder = png::Encoder::new(BufWriter::new(file), width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header().map_err(Error::other)?;
-        writer.write_image_data(bytes).map_err(Error::other)?;
-        writer.finish().map_err(Error::other)
+        let out = BufWriter::new(file);
+        encode(out, width, height, bytes, png::ColorType::Rgb, png::Compression::Fast)
     })
 }
 
 /// An 8-bit RGBA PNG in memory.
 pub(crate) fn encode_rgba(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8>> {
-    encode(width, height, bytes, png::ColorType::Rgba)
+    let mut out = Vec::new();
+    encode(&mut out, width, height, bytes, png::ColorType::Rgba, png::Compression::default())?;
+    Ok(out)
 }
 
 /// An 8-bit RGB PNG in memory.
 pub(crate) fn encode_rgb(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8>> {
-    encode(width, height, bytes, png::ColorType::Rgb)
+    let mut out = Vec::new();
+    encode(&mut out, width, height, bytes, png::ColorType::Rgb, png::Compression::default())?;
+    Ok(out)
 }
 
-fn encode(width: u32, height: u32, bytes: &[u8], color: png::ColorType) -> Result<Vec<u8>> {
-    let mut out = Vec::new();
-    let mut encoder = png::Encoder::new(&mut out, width, height);
+fn encode(
+    out: impl Write,
+    width: u32,
+    height: u32,
+    bytes: &[u8],
+    color: png::ColorType,
+    compression: png::Compression,
+) -> Result<()> {
+    let mut encoder = png::Encoder::new(out, width, height);
     encoder.set_color(color);
     encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(compression);
     let mut writer = encoder.write_header().map_err(Error::other)?;
     writer.write_image_data(bytes).map_err(Error::other)?;
-    writer.finish().map_err(Error::other)?;
-    Ok(out)
+    writer.finish().map_err(Error::other)
 }
 
 /// Writes linear RGB, 32-bit float, ZIP-compressed.

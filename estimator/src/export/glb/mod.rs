@@ -1,0 +1,6 @@
+//! A result as a binary glTF 2.0 scene: mesh with albedo as vertex colours, a material per segment
+//! (KHR_materials_specular), the light (EXT_lights_image_based), the keyframes' cameras. +Y up: (x, y, z) = (X, Z, −Y).
+
+mod buffer;
+mod light;
+pub mod scene;

@@ -1,0 +1,176 @@
+//! The scene of a result: mesh, materials and cameras, with the light of [`light`].
+
+use crate::export::glb::buffer::{Buffer, pack};
+use crate::export::glb::light::light;
+use crate::export::write_whole;
+use glam::{DMat3, DQuat, DVec3, Vec3};
+use recordings::result::{Estimate, ResultKeyframe, Segment};
+use serde_json::{Value, json};
+use std::io::{Result, Write};
+use std::path::Path;
+
+/// Roughness of a glossy segment: Eq. (13) recovers how much it mirrors, not how sharply.
+const GLOSSY_ROUGHNESS: f64 = 0.4;
+/// Roughness of a matte segment.
+const MATTE_ROUGHNESS: f64 = 1.0;
+/// Reflectance of a dielectric at normal incidence that `specularFactor` scales.
+const DIELECTRIC_REFLECTANCE: f64 = 0.04;
+
+/// Writes the scene. Nothing appears under `path` before it is complete.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn write(result: &Estimate, path: &Path) -> Result<()> {
+    let bytes = scene(result)?;
+    write_whole(path, |mut file| file.write_all(&bytes))
+}
+
+/// The bytes of the `.glb` file.
+///
+/// # Errors
+/// A picture of the light cannot be encoded.
+pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
+    let mut buffer = Buffer::default();
+    let primitives = primitives(result, &mut buffer);
+    let mut nodes = vec![json!({ "name": result.name, "mesh": 0 })];
+    nodes.extend(result.keyframes.iter().enumerate().map(|(index, keyframe)| camera_node(index, keyframe)));
+    let (images, light) = light(result, &mut buffer)?;
+    let mut root = json!({
+        "asset": { "version": "2.0", "generator": "lumiscan" },
+        "extensionsUsed": ["KHR_materials_specular", "EXT_lights_image_based"],
+        "scene": 0,
+        "scenes": [{
+            "nodes": (0..nodes.len()).collect::<Vec<_>>(), "extensions": { "EXT_lights_image_based": { "light": 0 } },
+        }],
+        "nodes": nodes,
+        "meshes": [{ "name": result.name, "primitives": primitives }],
+        "materials": result.segments.iter().enumerate().map(|(i, s)| material(i, s)).collect::<Vec<_>>(),
+        "accessors": buffer.accessors,
+        "images": images,
+        "extensions": { "EXT_lights_image_based": { "lights": [light] } },
+        "buffers": [{ "byteLength": buffer.bytes.len() }],
+        "bufferViews": buffer.views,
+    });
+    if !result.keyframes.is_empty() {
+        root["cameras"] = result.keyframes.iter().map(camera).collect();
+    }
+    Ok(pack(&root, &buffer.bytes))
+}
+
+/// Our axes to glTF's.
+fn turned(p: Vec3) -> [f32; 3] {
+    [p.x, p.z, -p.y]
+}
+
+/// A primitive per segment over shared vertices.
+fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
+    let mesh = &result.mesh;
+    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| turned(*p)).collect();
+    let normals: Vec<[f32; 3]> = mesh.normals.iter().map(|n| turned(n.try_normalize().unwrap_or(Vec3::Z))).collect();
+    // Normalised shorts keep an albedo's dark end, which bytes of linear light would not.
+    let color = |a: &Vec3| {
+        let c = a.clamp(Vec3::ZERO, Vec3::ONE) * 65_535.0;
+        [c.x.round() as u16, c.y.round() as u16, c.z.round() as u16, u16::MAX]
+    };
+    let colors: Vec<[u16; 4]> = result.albedo.iter().map(color).collect();
+    let attributes = json!({
+        "POSITION": buffer.add_positions(&positions), "NORMAL": buffer.add_vectors(&normals),
+        "COLOR_0": buffer.add_colors(&colors),
+    });
+    let mut primitives = Vec::new();
+    for segment in 0..result.segments.len() as u32 {
+        let own = mesh.triangles.iter().filter(|t| result.segment[t[0] as usize] == segment);
+        let indices: Vec<u32> = own.flatten().copied().collect();
+        if !indices.is_empty() {
+            let indices = buffer.add_indices(&indices);
+            primitives.push(json!({ "attributes": attributes, "indices": indices, "material": segment, "mode": 4 }));
+        }
+    }
+    primitives
+}
+
+fn material(index: usize, segment: &Segment) -> Value {
+    // w_s is a reflectance; the extension's factor scales the dielectric's, its colour goes beyond 1.
+    let strength = segment.w_s.clamp(0.0, 1.0) / DIELECTRIC_REFLECTANCE;
+    json!({
+        "name": format!("segment {index}"),
+        "doubleSided": true,
+        "pbrMetallicRoughness": {
+            "metallicFactor": 0.0,
+            "roughnessFactor": if segment.w_s > 0.0 { GLOSSY_ROUGHNESS } else { MATTE_ROUGHNESS },
+        },
+        "extensions": { "KHR_materials_specular": {
+            "specularFactor": strength.min(1.0),
+            "specularColorFactor": [strength.max(1.0); 3],
+        } },
+        "extras": { "w_d": segment.w_d, "w_s": segment.w_s, "vertices": segment.vertices },
+    })
+}
+
+fn camera(keyframe: &ResultKeyframe) -> Value {
+    let i = &keyframe.camera.intrinsics;
+    json!({
+        "name": keyframe.name, "type": "perspective",
+        "perspective": {
+            "aspectRatio": f64::from(i.width) / i.fx * i.fy / f64::from(i.height),
+            "yfov": 2.0 * libm::atan(f64::from(i.height) / 2.0 / i.fy),
+            "znear": 0.001,
+        },
+    })
+}
+
+/// The node of a keyframe's camera. glTF's camera looks along −z with y up.
+fn camera_node(index: usize, keyframe: &ResultKeyframe) -> Value {
+    let axes = DMat3::from_quat(keyframe.world_from_camera.rotation);
+    let turn = |v: DVec3| DVec3::new(v.x, v.z, -v.y);
+    let q = DQuat::from_mat3(&DMat3::from_cols(turn(axes.x_axis), turn(-axes.y_axis), turn(-axes.z_axis))).normalize();
+    let t = turn(keyframe.world_from_camera.translation);
+    json!({
+        "name": keyframe.name, "camera": index,
+        "rotation": [q.x, q.y, q.z, q.w], "translation": [t.x, t.y, t.z],
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::tiny;
+    use crate::render::objects::gltf::document;
+
+    #[test]
+    fn our_own_reader_gets_the_mesh_back() {
+        let result = tiny();
+        let object = document::read(&scene(&result).unwrap(), Path::new(".")).unwrap();
+        assert_eq!(object.mesh.triangles.len(), result.mesh.triangles.len());
+        for t in &object.mesh.triangles {
+            for &i in t {
+                let p = object.mesh.positions[i as usize];
+                let j = result.mesh.positions.iter().position(|q| q.distance(p) < 1e-6).expect("same vertices");
+                assert!((object.color[i as usize] - result.albedo[j]).length() < 1e-4);
+            }
+        }
+    }
+
+    /// The Khronos validator, where it is installed (npm i -g gltf-validator; NODE_PATH names its folder).
+    #[test]
+    fn the_khronos_validator_accepts_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("tiny.glb");
+        write(&tiny(), &file).unwrap();
+        let script = "const v=require('gltf-validator'),fs=require('fs');\
+            v.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1]))).then(r=>{console.log(JSON.stringify(r.issues));\
+            process.exit(r.issues.numErrors?1:0)})";
+        let has = std::process::Command::new("node").args(["-e", "require('gltf-validator')"]).output();
+        if !has.is_ok_and(|o| o.status.success()) {
+            eprintln!("skipped: node with the npm package gltf-validator is not installed");
+            return;
+        }
+        let out = std::process::Command::new("node").args(["-e", script]).arg(&file).output().unwrap();
+        assert!(
+            out.status.success(),
+            "{}{}",
+            String::from_utf8_lossy(&out.stdout),
+            String::from_utf8_lossy(&out.stderr)
+        );
+    }
+}
