@@ -101,7 +101,7 @@ fn material(index: usize, segment: &Segment) -> Value {
         },
         "extensions": { "KHR_materials_specular": {
             "specularFactor": strength.min(1.0),
-            "specularColorFactor": [strength.max(1.0); 3],
+            "specularColorFactor": vec![strength.max(1.0); 3],
         } },
         "extras": { "w_d": segment.w_d, "w_s": segment.w_s, "vertices": segment.vertices },
     })
