@@ -1,8 +1,14 @@
-//! What can be said on the command line.
+//! The command line: commands with their arguments and options. `render`'s are in [`render`].
+
+mod render;
+mod settings;
 
 use crate::orders::Request;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
+
+pub use render::{RemovalTarget, Render};
+pub use settings::Settings;
 
 /// Light and materials from a casual scan with a Kinect.
 #[derive(Debug, Parser)]
@@ -50,8 +56,8 @@ pub enum Command {
     Import(Import),
     /// Write a result, or a recording, in a form that other programs read.
     Export(Export),
-    /// Put things into a result, take them out, or light it anew; write pictures.
-    Render(Box<crate::commands::render::Render>),
+    /// Insert objects into a result, remove objects, or relight it; write pictures.
+    Render(Box<Render>),
     /// Print every setting with unit, range and default, as a configuration file.
     Config(Config),
     /// The daemon: wait for a Kinect, scan on command or by itself, publish.
@@ -68,17 +74,6 @@ pub enum Command {
     Inspect(Inspect),
     /// Measure speed against accuracy on scenes with known truth.
     Trade(Trade),
-}
-
-/// Where settings come from.
-#[derive(Debug, Args, Default)]
-pub struct Settings {
-    /// Settings file (TOML, as `lumiscan config` prints it).
-    #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
-    /// One setting, as section.key=value; repeatable, wins over the file.
-    #[arg(long, value_name = "KEY=VALUE")]
-    pub set: Vec<String>,
 }
 
 /// Named points of the trade of speed against accuracy (`lumiscan trade` measures them).
@@ -236,7 +231,7 @@ pub enum ExportTo {
     Colmap,
     /// Of a result and its scan: cameras and pictures with a transforms.json.
     Nerf,
-    /// Of a result and its scan: a page that any browser opens, to look at, relight and try things in.
+    /// Of a result and its scan: a page that any browser opens, to view and relight it and to try settings.
     Html,
     /// Of a recording: a TUM RGB-D folder, frame for frame.
     Tum,

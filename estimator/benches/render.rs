@@ -1,4 +1,4 @@
-//! Cost of mixed reality on a made-up result of 72 000 vertices at 640 × 480: a thing put over a photo, a thing taken out of
+//! Cost of mixed reality on a made-up result of 72 000 vertices at 640 × 480: an object inserted over a photo, an object removed from
 //! it, and relighting by a sequence of panoramas; CPU and wall time, peak memory. `cargo bench -p estimator --bench render`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
@@ -9,13 +9,13 @@ use estimator::rays::RayScene;
 use estimator::render::change::{Changed, change};
 use estimator::render::compose::{Viewpoint, compose, model};
 use estimator::render::inpainting::geometry::cut;
-use estimator::render::lighting::completion::infer;
-use estimator::render::lighting::observed_background::Backdrop;
+use estimator::render::lighting::completion::complete;
+use estimator::render::lighting::observed_background::ObservedBackground;
 use estimator::render::lighting::panorama::{Panorama, Projector};
 use estimator::render::objects::material::Material;
 use estimator::render::objects::object::Object;
 use estimator::render::relight::{BANDS, NewLight, Relight};
-use estimator::render::removal::{Removal, select};
+use estimator::render::removal::select::{Removal, select};
 use firmware_config::RealityConfig;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::decision::TransferLevel;
@@ -35,7 +35,7 @@ fn main() {
     let scene = RayScene::new(&estimate.mesh);
     println!("{} vertices, 640x480, {} threads", estimate.mesh.positions.len(), rayon::current_num_threads());
 
-    let around = || (infer(&estimate.light, &[]), Backdrop::default());
+    let around = || (complete(&estimate.light, &[]), ObservedBackground::default());
     let nothing = vec![false; estimate.mesh.positions.len()];
     let before = change(&estimate, around(), cut(&estimate.mesh, &nothing), &[], &config);
     let photo = model(&before, &view, &config);
@@ -46,11 +46,11 @@ fn main() {
         let (cpu, wall) = (processor_s() - cpu, wall.elapsed().as_secs_f64());
         println!("{name}: {wall:.2} s ({cpu:.2} s of CPU), {touched} pixels changed; peak {:.0} MiB", peak_mib());
     };
-    let mut thing = Object { mesh: ball(48, 48), materials: vec![Material::default()], ..Object::default() };
-    thing.material = vec![0; thing.mesh.triangles.len()];
-    thing.place(Vec3::new(-0.2, -0.1, 0.05), 0.0, 0.05);
+    let mut object = Object { mesh: ball(48, 48), materials: vec![Material::default()], ..Object::default() };
+    object.material = vec![0; object.mesh.triangles.len()];
+    object.place(Vec3::new(-0.2, -0.1, 0.05), 0.0, 0.05);
     over("insert over a photo", &|| {
-        change(&estimate, around(), cut(&estimate.mesh, &nothing), std::slice::from_ref(&thing), &config)
+        change(&estimate, around(), cut(&estimate.mesh, &nothing), std::slice::from_ref(&object), &config)
     });
     let low = Removal::Box(Vec3::new(0.0, 0.0, 0.001), Vec3::splat(1.0));
     let gone = select(&estimate.mesh, &estimate.segment, &scene, &[low]).expect("the ball is there");

@@ -36,7 +36,7 @@ pub enum RecordingKind {
     Packets,
 }
 
-/// One thing the sensor said.
+/// One message of the sensor.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// A depth frame.

@@ -60,7 +60,7 @@ fn main() -> Result<()> {
     if !tracing::dispatcher::has_been_set() {
         tracing::subscriber::set_global_default(stages::Collector)?;
     }
-    // Inside a pool of one thread, that thread's clock tells the stages' CPU time.
+    // Inside a pool of one thread, that thread's clock gives the stages' CPU time.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
     for folder in folders {
         let (dir, truth) = folder.split_once('=').map_or((folder.as_str(), None), |(d, t)| (d, Some(t)));

@@ -10,9 +10,9 @@ use estimator::rays::RayScene;
 use estimator::render::change::change;
 use estimator::render::compose::Viewpoint;
 use estimator::render::inpainting::geometry::cut;
-use estimator::render::lighting::completion::infer;
+use estimator::render::lighting::completion::complete;
 use estimator::render::lighting::environment::Environment;
-use estimator::render::lighting::observed_background::Backdrop;
+use estimator::render::lighting::observed_background::ObservedBackground;
 use estimator::render::relight::{BANDS, NewLight, Relight};
 use firmware_config::RealityConfig;
 use glam::{DQuat, DVec3, Vec3};
@@ -132,7 +132,7 @@ fn true_albedo(scene: &tests::synth::scene::Scene, camera: &Intrinsics, pose: &P
 struct View {
     viewpoint: Viewpoint,
     relight: Relight,
-    kept: estimator::render::relight::KeptView,
+    kept: estimator::render::relight::CachedView,
 }
 
 impl View {
@@ -144,7 +144,7 @@ impl View {
             gain: Vec3::ONE,
         };
         let nothing = cut(&estimate.mesh, &vec![false; estimate.mesh.positions.len()]);
-        let around = (infer(&estimate.light, &[]), Backdrop::default());
+        let around = (complete(&estimate.light, &[]), ObservedBackground::default());
         let changed = change(estimate, around, nothing, &[], &config);
         let relight = Relight::new(&changed, &config, &|_| {});
         let kept = relight.view(&changed, &viewpoint, &config);
@@ -201,7 +201,7 @@ fn factor(truth: &[Vec3], found: &[Vec3], counts: impl Fn(usize) -> bool) -> Vec
     Vec3::new(median(0), median(1), median(2))
 }
 
-/// Truth above, what was found below it; the truth tells what is white.
+/// Truth above, what was found below it; the truth defines white.
 fn write(path: &Path, columns: &[(Image, Image)]) -> Result<(), Box<dyn Error>> {
     let [width, height] = SIZE;
     let across = width * columns.len();

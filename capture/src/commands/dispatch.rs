@@ -16,7 +16,7 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
         Command::Estimate(a) => estimate::run(a, cli.json, reporter),
         Command::Import(a) => import::run(a),
         Command::Export(a) => export::run(a),
-        Command::Render(a) => render::run(a, reporter),
+        Command::Render(a) => render::command::run(a, reporter),
         Command::Config(a) => config::run(a, cli.json),
         Command::Capture(a) => capture::run(a, reporter),
         Command::Scan(a) => scan::run(a, cli.json),

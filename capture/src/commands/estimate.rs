@@ -47,7 +47,7 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     let seconds = started.elapsed().as_secs_f64();
     if let Some(path) = &args.preview {
         reporter.stage("preview", 0.0);
-        let png = estimator::preview::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
+        let png = estimator::preview::sheet::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;
         write_file(path, &png)?;
     }
     if let Some(path) = &args.viewer {

@@ -1,6 +1,7 @@
 //! `lumiscan export`: results and recordings in forms that other programs read.
 
 use crate::cli::{self, ExportTo};
+use crate::commands::files::{check_fresh, find_scan, into_fresh_folder};
 use crate::commands::output::check_parent;
 use crate::commands::output::print;
 use crate::failure::Failure;
@@ -8,8 +9,7 @@ use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Runs the command.
 pub fn run(args: &cli::Export) -> Result<(), Failure> {
@@ -40,14 +40,12 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         ExportTo::Html => {
             check_parent(output)?;
             let result = Estimate::read(&args.file)?;
-            let scan = crate::commands::render::find_scan(args.scan.as_deref(), &args.file)
-                .map(|p| Scan::read(&p))
-                .transpose()?;
+            let scan = find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
             estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
         ExportTo::Colmap | ExportTo::Nerf => {
             let result = Estimate::read(&args.file)?;
-            let path = crate::commands::render::find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
+            let path = find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
                 Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
             })?;
             let scan = Scan::read(&path)?;
@@ -74,42 +72,4 @@ fn timings(result: &Path) -> Vec<(String, f64)> {
         Some([seconds("capture")?, seconds("estimator")?].concat())
     };
     read().unwrap_or_default()
-}
-
-/// What exists is never overwritten; returns the folder's name.
-pub(super) fn check_fresh(dir: &Path) -> Result<&OsStr, Failure> {
-    let used = dir.is_file() || std::fs::read_dir(dir).is_ok_and(|mut entries| entries.next().is_some());
-    match dir.file_name() {
-        Some(name) if !used => Ok(name),
-        _ => Err(Failure::Usage(format!("{}: exists and is no empty folder; name a new one", dir.display()))),
-    }
-}
-
-/// Fills a folder beside `dir` and renames it into place, so that `dir` is complete or not there at all.
-fn into_fresh_folder(dir: &Path, fill: impl FnOnce(&Path) -> Result<(), Failure>) -> Result<(), Failure> {
-    let mut staged = check_fresh(dir)?.to_os_string();
-    staged.push(format!(".{}.part", std::process::id()));
-    let staging = StagingFolder::create(dir.with_file_name(staged))?;
-    fill(&staging.0)?;
-    std::fs::rename(&staging.0, dir).map_err(|e| Failure::writing(dir, e))
-}
-
-/// A folder that goes away again unless it is renamed.
-pub(super) struct StagingFolder(PathBuf);
-
-impl StagingFolder {
-    pub(super) fn create(path: PathBuf) -> Result<Self, Failure> {
-        std::fs::create_dir_all(&path).map_err(|e| Failure::writing(&path, e))?;
-        Ok(Self(path))
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for StagingFolder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
 }

@@ -1,4 +1,4 @@
-//! The commands of `lumiscan`, one file each. [`dispatch`] chooses; [`settings`] and [`output`] are shared by all.
+//! The commands of `lumiscan`, one file each. [`dispatch`] chooses; [`files`], [`output`] and [`settings`] are shared by all.
 
 mod capture;
 mod check;
@@ -6,7 +6,7 @@ mod config;
 pub mod dispatch;
 mod estimate;
 mod export;
-mod frames;
+mod files;
 mod import;
 mod inspect;
 mod list;
@@ -14,7 +14,7 @@ mod list;
 mod openni;
 mod output;
 mod record;
-pub mod render;
+mod render;
 mod replay;
 mod scan;
 mod settings;

@@ -9,7 +9,10 @@ use crate::failure::Failure;
 use crate::report::Reporter;
 use estimator::EstimateError;
 use estimator::budget::Machine;
-use estimator::sweep::{self, Point, Truth};
+use estimator::sweep::plot;
+use estimator::sweep::point::{CSV_HEAD, Point, margins, to_csv};
+use estimator::sweep::run::{SETTINGS, sweep};
+use estimator::sweep::truth::Truth;
 use firmware_config::Config;
 use recordings::import::photos::import_photos;
 use recordings::scan::Scan;
@@ -38,24 +41,23 @@ pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
     let scenes = if args.scenes.is_empty() { bundled.as_slice() } else { &args.scenes };
     let config = Config::default();
     let mut swept: Vec<(String, Vec<Point>)> = Vec::new();
-    let mut csv = sweep::CSV_HEAD.to_owned();
+    let mut csv = CSV_HEAD.to_owned();
     for scene in scenes {
         let shown = scene.display();
         let name = scene.file_stem().map_or("scene".into(), |n| n.to_string_lossy().into_owned());
         let (scan, truth) = open(scene)?;
         let limit = Duration::from_secs_f64(args.limit);
-        let points =
-            sweep::sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter).map_err(|e| match e {
-                EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
-            })?;
+        let points = sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter).map_err(|e| match e {
+            EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
+        })?;
         reporter.clear();
-        csv += &sweep::to_csv(&name, &points);
+        csv += &to_csv(&name, &points);
         report(&name, &points)?;
         swept.push((name, points));
     }
     write_file(&args.output, csv.as_bytes())?;
     let picture = args.output.with_extension("png");
-    let png = sweep::plot::draw(&swept).map_err(Failure::Internal)?;
+    let png = plot::draw(&swept).map_err(Failure::Internal)?;
     write_file(&picture, &png)?;
     print(&args.output.display().to_string())?;
     print(&picture.display().to_string())
@@ -103,12 +105,12 @@ fn report(name: &str, points: &[Point]) -> Result<(), Failure> {
             p.name, p.bands, p.transfer, p.rays, p.seconds
         ))?;
     }
-    let Some(margins) = sweep::margins(points) else { return Ok(()) };
-    if points.len() < sweep::SETTINGS {
+    let Some(margins) = margins(points) else { return Ok(()) };
+    if points.len() < SETTINGS {
         return print(&format!(
             "{name}: no verdict on the rule: {} of {} settings were measured in time; raise --limit",
             points.len(),
-            sweep::SETTINGS
+            SETTINGS
         ));
     }
     let kept = if margins.hold() { "keeps" } else { "breaks" };

@@ -4,6 +4,7 @@ use glam::DQuat;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::scan::Scan;
 use recordings::types::ColorEncoding;
+use recordings::types::Response;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::io::{Error, Result};
@@ -43,7 +44,7 @@ pub fn write_colmap(result: &Estimate, scan: &Scan, dir: &Path) -> Result<()> {
     let mut points = String::new();
     let step = (result.mesh.positions.len() / 20_000).max(1);
     for (v, (p, f)) in result.mesh.positions.iter().zip(&result.lit_color).enumerate().step_by(step) {
-        let [r, g, b] = [f.x, f.y, f.z].map(super::encode_srgb);
+        let [r, g, b] = [f.x, f.y, f.z].map(|c| Response::Srgb.encode(c));
         let _ = writeln!(points, "{} {} {} {} {r} {g} {b} 0", v + 1, p.x, p.y, p.z);
     }
     std::fs::write(dir.join("cameras.txt"), cameras)?;

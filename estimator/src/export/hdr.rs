@@ -3,6 +3,7 @@
 //! Row r: θ = (r + ½)/H · π from +Z; column c: azimuth 2π (c + ½)/W from +Y, clockwise from above;
 //! direction = (sin θ sin a, sin θ cos a, cos θ).
 
+use crate::export::file::write_whole;
 use crate::numerics::sh;
 use glam::DVec3;
 use recordings::result::Light;
@@ -36,7 +37,7 @@ pub fn panorama(light: &Light, size: (usize, usize)) -> Vec<[f32; 3]> {
 /// # Errors
 /// The disk is full or gone.
 pub fn write(light: &Light, path: &Path) -> Result<()> {
-    super::write_whole(path, |file| write_to(&panorama(light, SIZE), SIZE, BufWriter::new(file)))
+    write_whole(path, |file| write_to(&panorama(light, SIZE), SIZE, BufWriter::new(file)))
 }
 
 /// Writes the panorama to `path` as OpenEXR.

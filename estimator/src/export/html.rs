@@ -1,6 +1,7 @@
 //! The result as one page that any browser opens, without network: mesh, light, segments, transfer and small keyframe
 //! pictures in one file.
 
+use crate::export::file::write_whole;
 use crate::export::picture::encode_rgb;
 use crate::rays::RayScene;
 use crate::transfer::{Transfer, bounce, trace};
@@ -9,6 +10,7 @@ use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
+use recordings::types::Response;
 use recordings::types::RgbImage;
 use serde_json::json;
 use std::io::{Error, Result, Write};
@@ -39,7 +41,7 @@ const MOST_PICTURES: usize = 24;
 /// The disk is full or gone, or a keyframe's picture cannot be read.
 pub fn write(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)], path: &Path) -> Result<()> {
     let text = page(result, scan, timings)?;
-    super::write_whole(path, |mut file| file.write_all(text.as_bytes()))
+    write_whole(path, |mut file| file.write_all(text.as_bytes()))
 }
 
 /// The whole page.
@@ -66,7 +68,7 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         .iter()
         .flat_map(|p| ((*p - low) / size * 65_535.0).to_array().map(|x| x.round() as u16).into_iter().chain([0]))
         .collect();
-    let srgb = |c: Vec3| [c.x, c.y, c.z].map(super::encode_srgb);
+    let srgb = |c: Vec3| [c.x, c.y, c.z].map(|c| Response::Srgb.encode(c));
     let shown = display_gain(result);
     let signed = |x: f32| (x * 127.0).round() as i8 as u8;
     let offsets = json!({

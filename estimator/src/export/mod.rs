@@ -1,81 +1,13 @@
-//! Results in the formats that other tools read.
+//! Results in the formats of other tools. In: a result, for pictures its scan. Out: a folder of plain files ([`folder`]),
+//! PLY, glTF ([`glb`]), panoramas ([`hdr`]), COLMAP and NeRF cameras ([`cameras`]), a page for browsers ([`html`]).
 
 pub mod cameras;
+mod file;
 pub mod folder;
 pub mod glb;
 pub mod hdr;
 pub mod html;
 pub mod picture;
 pub mod ply;
-
-use recordings::types::Response;
-use std::fs::File;
-use std::io::Result;
-use std::path::Path;
-
-/// A linear value as screens take it.
-pub(crate) fn encode_srgb(linear: f32) -> u8 {
-    Response::Srgb.encode(linear)
-}
-
-/// Fills a file beside `path`, syncs it and renames it into place.
-fn write_whole(path: &Path, fill: impl FnOnce(&File) -> Result<()>) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(".part");
-    let part = path.with_file_name(name);
-    let written = File::create(&part).and_then(|file| fill(&file).and_then(|()| file.sync_all()));
-    written.and_then(|()| std::fs::rename(&part, path)).inspect_err(|_| {
-        let _ = std::fs::remove_file(&part);
-    })
-}
-
 #[cfg(test)]
-pub(crate) mod testing {
-    use glam::{DQuat, DVec3, Vec3};
-    use recordings::decision::TransferLevel;
-    use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
-    use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
-
-    /// A result with one triangle, two segments, two keyframes and one coefficient.
-    pub fn tiny() -> Estimate {
-        let intrinsics = Intrinsics { width: 64, height: 48, fx: 50.0, fy: 50.0, cx: 31.5, cy: 23.5 };
-        let keyframe = |name: &str, t: i64, gain: f64, x: f64| ResultKeyframe {
-            name: name.into(),
-            timestamp_ns: t,
-            gain: [gain; 3],
-            world_from_camera: Pose::new(DQuat::IDENTITY, DVec3::new(x, 0.0, -1.0)),
-            camera: CameraModel { intrinsics, distortion: Distortion::default() },
-            residual_px: 0.0,
-        };
-        let segment = |w_s| Segment { vertices: 1, albedo: [0.5; 3], w_d: 1.0, w_s, w_s_error: f64::INFINITY };
-        Estimate {
-            name: "tiny".into(),
-            response: Response::Srgb,
-            mesh: Mesh {
-                positions: vec![Vec3::new(-0.2, -0.2, 0.0), Vec3::new(0.2, -0.2, 0.0), Vec3::new(0.0, 0.2, 0.1)],
-                normals: vec![Vec3::NEG_Z; 3],
-                triangles: vec![[0, 2, 1]],
-            },
-            segment: vec![0, 0, 1],
-            lit_color: vec![Vec3::splat(0.2), Vec3::X, Vec3::Y],
-            albedo: vec![Vec3::splat(0.5), Vec3::new(0.1, 0.2, 0.3), Vec3::new(0.9, 0.8, 0.7)],
-            confidence: vec![1.0; 3],
-            light: Light {
-                coefficients: vec![[1.0, 2.0, 3.0]],
-                standard_deviation: vec![[0.1; 3]],
-                ..Light::default()
-            },
-            segments: vec![segment(0.0), segment(0.25)],
-            keyframes: vec![
-                keyframe("keyframes/a.png", 1_305_031_102_175_304_000, 2.0, 0.0),
-                keyframe("keyframes/b.png", 1_305_031_102_275_304_000, 0.5, 0.25),
-            ],
-            transfer: TransferLevel::Diffuse,
-            decisions: vec![],
-            cuts: vec![],
-            warnings: vec![],
-            albedo_scale_rule: "test".into(),
-            witnesses: vec![],
-        }
-    }
-}
+pub(crate) mod testing;

@@ -1,5 +1,6 @@
 //! Pictures: PNG as screens take them, OpenEXR linear.
 
+use crate::export::file::write_whole;
 use exr::prelude::WritableImage as _;
 use glam::Vec3;
 use std::io::{BufWriter, Error, Result, Write};
@@ -10,7 +11,7 @@ use std::path::Path;
 /// # Errors
 /// The disk is full or gone.
 pub fn write_png(path: &Path, width: u32, height: u32, bytes: &[u8]) -> Result<()> {
-    super::write_whole(path, |file| {
+    write_whole(path, |file| {
         let out = BufWriter::new(file);
         encode(out, width, height, bytes, png::ColorType::Rgb, png::Compression::Fast)
     })
@@ -60,7 +61,7 @@ pub fn write_exr(path: &Path, width: usize, height: usize, pixels: &[Vec3]) -> R
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
     let layer = exr::prelude::Layer::new((width, height), exr::prelude::LayerAttributes::default(), encoding, channels);
-    super::write_whole(path, |file| {
+    write_whole(path, |file| {
         Image::from_layer(layer).write().non_parallel().to_buffered(BufWriter::new(file)).map_err(Error::other)
     })
 }

@@ -1,8 +1,9 @@
 //! The mesh as binary PLY with everything known of each vertex.
 
-use crate::export::encode_srgb;
+use crate::export::file::write_whole;
 use recordings::ply::write::{Column, write_ply};
 use recordings::result::Estimate;
+use recordings::types::Response;
 use std::io::{BufWriter, Result};
 use std::path::Path;
 
@@ -12,7 +13,7 @@ use std::path::Path;
 /// # Errors
 /// The disk is full or gone.
 pub fn write(result: &Estimate, path: &Path) -> Result<()> {
-    let shown: Vec<[u8; 3]> = result.lit_color.iter().map(|c| c.to_array().map(encode_srgb)).collect();
+    let shown: Vec<[u8; 3]> = result.lit_color.iter().map(|c| c.to_array().map(|c| Response::Srgb.encode(c))).collect();
     let segment: Vec<i32> = result.segment.iter().map(|s| *s as i32).collect();
     let columns = [
         (&["red", "green", "blue"][..], Column::Bytes(&shown)),
@@ -21,7 +22,7 @@ pub fn write(result: &Estimate, path: &Path) -> Result<()> {
         (&["confidence"], Column::Float(&result.confidence)),
         (&["segment"], Column::Int(&segment)),
     ];
-    super::write_whole(path, |file| {
+    write_whole(path, |file| {
         let comment = "Lumiscan: metres, +Z up, linear albedo and lit colour";
         write_ply(&mut BufWriter::new(file), comment, &result.mesh, &columns)
     })

@@ -1,7 +1,7 @@
 //! A grey, a silver and a mirror ball in the recovered light, seen as the keyframe sees: light at a glance.
 
 use crate::numerics::sh;
-use crate::preview::view::Panel;
+use crate::preview::keyframe_view::Panel;
 use crate::render::lighting::environment::Environment;
 use crate::render::sampling::{ggx_normal, point, smith};
 use glam::{DVec3, Vec3};
@@ -14,8 +14,8 @@ const GREY: f64 = 0.5;
 const SILVER_ALPHA: f32 = 0.3;
 /// Rays for its reflection.
 const SILVER_RAYS: u32 = 256;
-/// Bands of what a matt surface can tell.
-const MATT_BANDS: usize = 9;
+/// Bands of light that a diffuse surface responds to.
+const DIFFUSE_BANDS: usize = 9;
 
 /// The three balls side by side in a panel of `width` × `height`; `display` turns radiance into display values.
 pub fn panel(
@@ -24,7 +24,7 @@ pub fn panel(
     (width, height): (u32, u32),
     display: impl Fn(Vec3) -> [f32; 3] + Sync,
 ) -> Panel {
-    let coefficients = environment.project(MATT_BANDS);
+    let coefficients = environment.project(DIFFUSE_BANDS);
     // Eq. (8) without a scene: irradiance over π.
     let soft: Vec<[f64; 3]> =
         coefficients.iter().enumerate().map(|(k, c)| c.map(|x| x * GREY * sh::cosine_factor(sh::band(k)))).collect();

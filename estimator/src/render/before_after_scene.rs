@@ -1,23 +1,23 @@
-//! The scene before and after a change, as light sees it: what stays, what goes, what comes, and the light around.
+//! The scene before and after a change: kept, removed and inserted surfaces, and the light around them.
 
 use crate::numerics::random::hash;
 use crate::rays::{Hit, RayScene};
 use crate::render::lighting::environment::Environment;
-use crate::render::objects::material::Look;
+use crate::render::objects::material::Brdf;
 use crate::render::objects::object::{Object, interpolate};
 use crate::render::sampling::{Cone, cosine, cosine_density, ggx_normal, point, smith};
 use glam::Vec3;
 use std::f32::consts::PI;
 
-/// Mirrors that a ray follows one after the other.
-const MOST_REFLECTIONS: u32 = 4;
+/// Maximum number of mirror reflections along a ray.
+const MAX_REFLECTIONS: u32 = 4;
 
 /// Before the change or after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Side {
     /// As scanned.
     Before,
-    /// With things removed and inserted.
+    /// With objects removed and inserted.
     After,
 }
 
@@ -26,9 +26,9 @@ pub enum Side {
 pub struct Body {
     /// Surface and look.
     pub object: Object,
-    /// What rays hit.
+    /// Its ray-tracing hierarchy.
     pub bvh: RayScene,
-    /// Diffuse radiance per vertex before the change (of inserted things: after it).
+    /// Diffuse radiance `[vertex]` before the change (of inserted objects: after it).
     pub radiance: Vec<Vec3>,
     /// Diffuse radiance per vertex after the change.
     pub after: Vec<Vec3>,
@@ -36,7 +36,7 @@ pub struct Body {
 
 /// A point on a body, seen from one side.
 #[derive(Debug, Clone, Copy)]
-pub struct Spot {
+pub struct SurfacePoint {
     /// Position, lifted off the surface so that rays leave it.
     pub origin: Vec3,
     /// Unit shading normal, towards the side it was seen from.
@@ -53,7 +53,7 @@ impl Body {
 
     /// The point that a ray along `direction` from `origin` hits.
     #[must_use]
-    pub fn spot(&self, origin: Vec3, direction: Vec3, hit: &Hit) -> Spot {
+    pub fn surface_point(&self, origin: Vec3, direction: Vec3, hit: &Hit) -> SurfacePoint {
         let t = self.object.mesh.triangles[hit.triangle as usize];
         let corner = t.map(|i| self.object.mesh.positions[i as usize]);
         let flat = (corner[1] - corner[0]).cross(corner[2] - corner[0]).normalize_or(Vec3::Z);
@@ -61,27 +61,27 @@ impl Body {
         let flat = towards(flat);
         let smooth = interpolate(&self.object.mesh.normals, t, hit).normalize_or(flat);
         let smooth = if smooth.dot(flat) < 0.0 { -smooth } else { smooth };
-        Spot { origin: self.bvh.offset_origin(origin + direction * hit.distance, flat), normal: smooth }
+        SurfacePoint { origin: self.bvh.offset_origin(origin + direction * hit.distance, flat), normal: smooth }
     }
 
     /// The point at a vertex, on the side of its normal.
     #[must_use]
-    pub fn vertex_spot(&self, vertex: usize) -> Spot {
+    pub fn vertex_point(&self, vertex: usize) -> SurfacePoint {
         let normal = self.object.mesh.normals[vertex];
-        Spot { origin: self.bvh.offset_origin(self.object.mesh.positions[vertex], normal), normal }
+        SurfacePoint { origin: self.bvh.offset_origin(self.object.mesh.positions[vertex], normal), normal }
     }
 }
 
-/// A ball around something that changed.
+/// A bounding sphere of an inserted or removed object.
 #[derive(Debug, Clone, Copy)]
-pub struct Ball {
+pub struct BoundingSphere {
     /// Its middle.
     pub center: Vec3,
     /// Its radius in metres.
     pub radius: f32,
 }
 
-impl Ball {
+impl BoundingSphere {
     /// Around the middle of the bounding box of some points.
     #[must_use]
     pub fn around(points: impl Iterator<Item = Vec3> + Clone) -> Option<Self> {
@@ -101,7 +101,7 @@ impl Ball {
 
 /// Which body a ray meets first.
 #[derive(Debug, Clone, Copy)]
-pub enum Met<'a> {
+pub enum RayTarget<'a> {
     /// A body.
     Body(&'a Body, Hit, Part),
     /// Nothing: the light beyond the scene.
@@ -121,20 +121,20 @@ pub enum Part {
 
 /// The scene before and after.
 #[derive(Debug)]
-pub struct World {
-    /// What stays.
+pub struct BeforeAfterScene {
+    /// Surface that stays.
     pub kept: Body,
-    /// What goes.
+    /// Surface that is removed.
     pub removed: Option<Body>,
-    /// What comes.
+    /// Surface that is inserted.
     pub inserted: Option<Body>,
-    /// Balls around all that goes or comes.
-    pub changes: Vec<Ball>,
+    /// Bounding spheres of removed and inserted objects.
+    pub changes: Vec<BoundingSphere>,
     /// The light.
     pub environment: Environment,
 }
 
-impl World {
+impl BeforeAfterScene {
     fn changing(&self, part: Part, origin: Vec3, direction: Vec3) -> Option<(&Body, Hit)> {
         let body = match part {
             Part::Removed => self.removed.as_ref()?,
@@ -148,14 +148,14 @@ impl World {
 
     /// What a ray meets first on one side of the change.
     #[must_use]
-    pub fn meet(&self, origin: Vec3, direction: Vec3, side: Side) -> Met<'_> {
+    pub fn meet(&self, origin: Vec3, direction: Vec3, side: Side) -> RayTarget<'_> {
         let part = if side == Side::Before { Part::Removed } else { Part::Inserted };
         let kept = self.kept.bvh.closest_hit(origin, direction);
         match (kept, self.changing(part, origin, direction)) {
-            (Some(k), Some((_, h))) if k.distance <= h.distance => Met::Body(&self.kept, k, Part::Kept),
-            (_, Some((body, h))) => Met::Body(body, h, part),
-            (Some(k), None) => Met::Body(&self.kept, k, Part::Kept),
-            (None, None) => Met::Beyond,
+            (Some(k), Some((_, h))) if k.distance <= h.distance => RayTarget::Body(&self.kept, k, Part::Kept),
+            (_, Some((body, h))) => RayTarget::Body(body, h, part),
+            (Some(k), None) => RayTarget::Body(&self.kept, k, Part::Kept),
+            (None, None) => RayTarget::Beyond,
         }
     }
 
@@ -163,8 +163,8 @@ impl World {
     #[must_use]
     pub fn radiance(&self, origin: Vec3, direction: Vec3, side: Side, depth: u32, seed: u32) -> Vec3 {
         match self.meet(origin, direction, side) {
-            Met::Beyond => self.environment.radiance(direction),
-            Met::Body(body, hit, part) => self.leaving(body, &hit, part, origin, direction, side, depth, seed),
+            RayTarget::Beyond => self.environment.radiance(direction),
+            RayTarget::Body(body, hit, part) => self.leaving(body, &hit, part, origin, direction, side, depth, seed),
         }
     }
 
@@ -184,11 +184,11 @@ impl World {
         let t = body.object.mesh.triangles[hit.triangle as usize];
         let values = if side == Side::After { &body.after } else { &body.radiance };
         let mut sum = interpolate(values, t, hit);
-        if part == Part::Inserted && depth < MOST_REFLECTIONS {
-            let look = body.object.look(hit);
-            if !look.is_matt() {
-                let spot = body.spot(origin, direction, hit);
-                sum += self.reflected(&spot, &look, direction, side, depth + 1, hash(seed, depth), 1, 0);
+        if part == Part::Inserted && depth < MAX_REFLECTIONS {
+            let brdf = body.object.brdf(hit);
+            if !brdf.is_diffuse() {
+                let spot = body.surface_point(origin, direction, hit);
+                sum += self.reflected(&spot, &brdf, direction, side, depth + 1, hash(seed, depth), 1, 0);
             }
         }
         sum
@@ -199,8 +199,8 @@ impl World {
     #[must_use]
     pub fn reflected(
         &self,
-        spot: &Spot,
-        look: &Look,
+        spot: &SurfacePoint,
+        brdf: &Brdf,
         direction: Vec3,
         side: Side,
         depth: u32,
@@ -208,27 +208,27 @@ impl World {
         samples: u32,
         first: u32,
     ) -> Vec3 {
-        let samples = if look.alpha < 1e-3 { 1 } else { samples };
+        let samples = if brdf.alpha < 1e-3 { 1 } else { samples };
         let view = -direction;
         let mut sum = Vec3::ZERO;
         for i in 0..samples {
-            let (normal, weight) = if look.alpha < 1e-3 {
+            let (normal, weight) = if brdf.alpha < 1e-3 {
                 (spot.normal, 1.0)
             } else {
-                let m = ggx_normal(spot.normal, look.alpha, point(first + i, seed));
+                let m = ggx_normal(spot.normal, brdf.alpha, point(first + i, seed));
                 let out = m * (2.0 * view.dot(m)) - view;
                 let (nv, no, nm, vm) =
                     (spot.normal.dot(view).max(1e-3), spot.normal.dot(out), spot.normal.dot(m), view.dot(m));
                 if no <= 0.0 || vm <= 0.0 {
                     continue;
                 }
-                (m, smith(nv, look.alpha) * smith(no, look.alpha) * vm / (nv * nm.max(1e-3)))
+                (m, smith(nv, brdf.alpha) * smith(no, brdf.alpha) * vm / (nv * nm.max(1e-3)))
             };
             let out = normal * (2.0 * view.dot(normal)) - view;
             if out.dot(spot.normal) <= 0.0 {
                 continue;
             }
-            let f = look.reflectance(view.dot(normal).abs());
+            let f = brdf.reflectance(view.dot(normal).abs());
             sum += f * self.radiance(spot.origin, out.normalize(), side, depth, seed ^ i) * weight;
         }
         sum / samples as f32
@@ -237,7 +237,7 @@ impl World {
     /// Irradiance over π at a spot: `samples` directions, half drawn by the cosine and half by the light (the balance
     /// heuristic of Veach). `first` goes on with a sequence that was begun.
     #[must_use]
-    pub fn gather(&self, spot: &Spot, side: Side, samples: u32, first: u32, seed: u32) -> Vec3 {
+    pub fn gather(&self, spot: &SurfacePoint, side: Side, samples: u32, first: u32, seed: u32) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for i in first..first + samples {
             let u = point(i / 2, seed ^ (i & 1));
@@ -255,7 +255,7 @@ impl World {
     /// By how much irradiance over π changes at a spot: only directions towards what changed are drawn, and the same
     /// ray is followed on both sides, so that what does not change gives exactly 0.
     #[must_use]
-    pub fn change(&self, spot: &Spot, samples: u32, seed: u32) -> Vec3 {
+    pub fn change(&self, spot: &SurfacePoint, samples: u32, seed: u32) -> Vec3 {
         let cones: Vec<Option<Cone>> =
             self.changes.iter().map(|b| Cone::towards(spot.origin, b.center, b.radius)).collect();
         // Every other ray follows the light: lamps behind the change are small.
@@ -309,8 +309,8 @@ impl World {
 
     /// An upper bound of the share of irradiance that the change can touch at a spot, under even light.
     #[must_use]
-    pub fn reach(&self, spot: &Spot) -> f32 {
-        let one = |b: &Ball| {
+    pub fn reach(&self, spot: &SurfacePoint) -> f32 {
+        let one = |b: &BoundingSphere| {
             Cone::towards(spot.origin, b.center, b.radius)
                 .map_or(1.0, |c| c.solid_angle() * c.highest_cosine(spot.normal) / PI)
         };

@@ -1,15 +1,15 @@
-//! From a result to a world with something inserted and something removed, lit on both sides.
+//! From a result to a [`BeforeAfterScene`] with objects inserted and removed, lit on both sides.
 
 use crate::mesh::graph::Graph;
 use crate::numerics::random::hash;
-use crate::render::before_after_scene::{Ball, Body, Side, World};
+use crate::render::before_after_scene::{BeforeAfterScene, Body, BoundingSphere, Side};
 use crate::render::inpainting::geometry::Cut;
-use crate::render::inpainting::texture::carry_on;
+use crate::render::inpainting::membrane::inpaint;
+use crate::render::inpainting::texture::continue_texture;
 use crate::render::lighting::environment::Environment;
-use crate::render::lighting::observed_background::Backdrop;
+use crate::render::lighting::observed_background::ObservedBackground;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
-use crate::render::removal::inpaint;
 use firmware_config::RealityConfig;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -30,34 +30,34 @@ const LEVEL_SWEEPS: usize = 8;
 /// Things inserted keep their light per vertex: edges longer than this many edges of the scene are split.
 const LONGEST_EDGE: f32 = 3.0;
 /// Triangles up to which they are split.
-const MOST_TRIANGLES: usize = 60_000;
+const MAX_TRIANGLES: usize = 60_000;
 
-/// A world with a change, and what is known of each of its kept vertices.
+/// A scene with a change, and the light on its kept vertices.
 #[derive(Debug)]
 pub struct Changed {
     /// Both sides.
-    pub world: World,
+    pub scene: BeforeAfterScene,
     /// Irradiance over π before the change; zero where the change does not reach.
     pub irradiance: Vec<Vec3>,
     /// Diffuse albedo in the units of this light: radiance = reflectance · irradiance.
     pub reflectance: Vec<Vec3>,
     /// True where `irradiance` and `after / radiance` are known.
     pub reached: Vec<bool>,
-    /// True where `reflectance` stands in for what no keyframe saw.
+    /// True where `reflectance` is continued from the surroundings: no keyframe saw the surface.
     pub filled: Vec<bool>,
-    /// What is behind the scan.
-    pub backdrop: Backdrop,
+    /// Background beyond the scan.
+    pub background: ObservedBackground,
 }
 
 impl Changed {
-    /// Radiance from beyond the scan: what keyframes saw there, otherwise the light.
+    /// Radiance from beyond the scan: the observed background, otherwise the light.
     #[must_use]
     pub fn beyond(&self, direction: Vec3) -> Vec3 {
-        let world = &self.world;
+        let scene = &self.scene;
         let blocks = |o: Vec3, d: Vec3| {
-            world.kept.bvh.occluded(o, d) || world.removed.as_ref().is_some_and(|b| b.bvh.occluded(o, d))
+            scene.kept.bvh.occluded(o, d) || scene.removed.as_ref().is_some_and(|b| b.bvh.occluded(o, d))
         };
-        self.backdrop.radiance(direction, blocks).unwrap_or_else(|| world.environment.radiance(direction))
+        self.background.radiance(direction, blocks).unwrap_or_else(|| scene.environment.radiance(direction))
     }
 }
 
@@ -78,11 +78,11 @@ pub fn scanned(estimate: &Estimate) -> Object {
     }
 }
 
-/// Lights a world (its light, what is behind it) of what a `cut` of the result leaves, and in which `inserted` stands.
+/// Lights the kept part of a `cut` result with the `inserted` objects in it; the pair is its light and its background.
 #[must_use]
 pub fn change(
     estimate: &Estimate,
-    (environment, backdrop): (Environment, Backdrop),
+    (environment, background): (Environment, ObservedBackground),
     cut: Cut,
     inserted: &[Object],
     config: &RealityConfig,
@@ -104,7 +104,7 @@ pub fn change(
         .iter()
         .map(|t| t.iter().filter_map(|&i| estimate.segment.get(i as usize)).next().map_or(0, |s| *s))
         .collect();
-    let mut changes: Vec<Ball> = Vec::new();
+    let mut changes: Vec<BoundingSphere> = Vec::new();
     let removed = (!removed.triangles.is_empty()).then(|| {
         let light: Vec<Vec3> = removed_from.iter().map(|&i| radiance[i as usize]).collect();
         changes.extend(pieces(&removed));
@@ -115,20 +115,20 @@ pub fn change(
     let mut all = Object::default();
     for object in inserted {
         let mut object = object.clone();
-        object.subdivide(LONGEST_EDGE * kept.bvh.median_edge(), MOST_TRIANGLES);
-        changes.extend(Ball::around(object.mesh.positions.iter().copied()));
+        object.subdivide(LONGEST_EDGE * kept.bvh.median_edge(), MAX_TRIANGLES);
+        changes.extend(BoundingSphere::around(object.mesh.positions.iter().copied()));
         all.append(&object);
     }
     let inserted = (!all.mesh.triangles.is_empty()).then(|| {
         let dark = vec![Vec3::ZERO; all.mesh.positions.len()];
         Body::new(all, dark)
     });
-    let world = World { kept, removed, inserted, changes, environment };
-    Changed { backdrop, ..light(world, &seen, first_patch, &graph, config) }
+    let scene = BeforeAfterScene { kept, removed, inserted, changes, environment };
+    Changed { background, ..light(scene, &seen, first_patch, &graph, config) }
 }
 
 /// A ball around every connected piece: a cone towards each wastes no ray on what is between them.
-fn pieces(mesh: &recordings::types::Mesh) -> Vec<Ball> {
+fn pieces(mesh: &recordings::types::Mesh) -> Vec<BoundingSphere> {
     let graph = Graph::of(mesh);
     let mut done = vec![false; mesh.positions.len()];
     let mut members: Vec<Vec<usize>> = Vec::new();
@@ -137,25 +137,31 @@ fn pieces(mesh: &recordings::types::Mesh) -> Vec<Ball> {
             members.push(graph.component(start, &mut done));
         }
     }
-    let ball = |list: &[usize]| Ball::around(list.iter().map(|&v| mesh.positions[v]));
+    let ball = |list: &[usize]| BoundingSphere::around(list.iter().map(|&v| mesh.positions[v]));
     if members.len() > 8 {
-        Ball::around(mesh.positions.iter().copied()).into_iter().collect()
+        BoundingSphere::around(mesh.positions.iter().copied()).into_iter().collect()
     } else {
         members.iter().filter_map(|l| ball(l)).collect()
     }
 }
 
-/// Fills in what light does on both sides.
-fn light(mut world: World, seen: &[bool], first_patch: usize, graph: &Graph, config: &RealityConfig) -> Changed {
-    let n = world.kept.object.mesh.positions.len();
+/// Computes the light on both sides.
+fn light(
+    mut scene: BeforeAfterScene,
+    seen: &[bool],
+    first_patch: usize,
+    graph: &Graph,
+    config: &RealityConfig,
+) -> Changed {
+    let n = scene.kept.object.mesh.positions.len();
     let seed = config.seed;
     let used = {
         let mut used = vec![false; n];
-        world.kept.object.mesh.triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
+        scene.kept.object.mesh.triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
         used
     };
     let reach: Vec<f32> =
-        (0..n).into_par_iter().map(|v| if used[v] { world.reach(&world.kept.vertex_spot(v)) } else { 0.0 }).collect();
+        (0..n).into_par_iter().map(|v| if used[v] { scene.reach(&scene.kept.vertex_point(v)) } else { 0.0 }).collect();
     let reached: Vec<bool> = reach.iter().map(|r| *r > SMALLEST_REACH).collect();
     let irradiance: Vec<Vec3> = (0..n)
         .into_par_iter()
@@ -164,27 +170,27 @@ fn light(mut world: World, seen: &[bool], first_patch: usize, graph: &Graph, con
                 return Vec3::ZERO;
             }
             let rays = rays(reach[v], config.vertex_rays);
-            world.gather(&world.kept.vertex_spot(v), Side::Before, rays, 0, hash(v as u32, seed))
+            scene.gather(&scene.kept.vertex_point(v), Side::Before, rays, 0, hash(v as u32, seed))
         })
         .collect();
     let open = irradiance.iter().fold(Vec3::ZERO, |m, e| m.max(*e)).max_element();
 
-    // Colour is asked only where it was seen in enough light, and not where the removed thing touches.
-    let removed = world.removed.is_some();
-    let near = near_removed(&world, config.contact_edges as f32 * world.kept.bvh.median_edge());
+    // Colour is measured only where enough light falls, and not where the removed object touches.
+    let removed = scene.removed.is_some();
+    let near = near_removed(&scene, config.contact_edges as f32 * scene.kept.bvh.median_edge());
     let known: Vec<bool> = (0..n)
         .map(|v| v < first_patch && seen[v] && (!reached[v] || (irradiance[v].min_element() > DARK * open && !near[v])))
         .collect();
     let asked: Vec<bool> = (0..n).map(|v| known[v] && reached[v]).collect();
-    // Reflectance is albedo, texture continued, times a level that varies slowly and so is told by many vertices.
-    let mut albedo = world.kept.object.color.clone();
+    // Reflectance is albedo with continued texture, times a slowly varying level that many vertices determine.
+    let mut albedo = scene.kept.object.color.clone();
     if removed {
-        carry_on(&mut albedo, &known, &world.kept.object.mesh, graph, world.kept.bvh.median_edge());
+        continue_texture(&mut albedo, &known, &scene.kept.object.mesh, graph, scene.kept.bvh.median_edge());
     }
     let mut level: Vec<Vec3> = (0..n)
         .map(|v| {
             let expected = (albedo[v] * irradiance[v]).max(Vec3::splat(1e-12));
-            let level = world.kept.radiance[v] / expected;
+            let level = scene.kept.radiance[v] / expected;
             if asked[v] { level.clamp(Vec3::splat(0.2), Vec3::splat(5.0)) } else { Vec3::ONE }
         })
         .collect();
@@ -193,28 +199,28 @@ fn light(mut world: World, seen: &[bool], first_patch: usize, graph: &Graph, con
     let reflectance: Vec<Vec3> = albedo.iter().zip(&level).map(|(a, l)| *a * *l).collect();
     let filled: Vec<bool> = (0..n).map(|v| reached[v] && !known[v]).collect();
 
-    light_inserted(&mut world, config, 1);
+    light_inserted(&mut scene, config, 1);
     let after: Vec<Vec3> = (0..n)
         .into_par_iter()
         .map(|v| {
-            let spot = world.kept.vertex_spot(v);
+            let spot = scene.kept.vertex_point(v);
             if !reached[v] {
-                world.kept.radiance[v]
+                scene.kept.radiance[v]
             } else if filled[v] {
                 reflectance[v]
-                    * world.gather(&spot, Side::After, config.vertex_rays, 0, hash(v as u32, seed)).max(Vec3::ZERO)
+                    * scene.gather(&spot, Side::After, config.vertex_rays, 0, hash(v as u32, seed)).max(Vec3::ZERO)
             } else {
-                let change = world.change(&spot, rays(reach[v], config.change_rays), hash(v as u32, seed ^ 0x51ed));
-                world.kept.radiance[v] * ratio(irradiance[v], change)
+                let change = scene.change(&spot, rays(reach[v], config.change_rays), hash(v as u32, seed ^ 0x51ed));
+                scene.kept.radiance[v] * ratio(irradiance[v], change)
             }
         })
         .collect();
-    world.kept.after = after;
-    light_inserted(&mut world, config, 2);
-    Changed { world, irradiance, reflectance, reached, filled, backdrop: Backdrop::default() }
+    scene.kept.after = after;
+    light_inserted(&mut scene, config, 2);
+    Changed { scene, irradiance, reflectance, reached, filled, background: ObservedBackground::default() }
 }
 
-/// How many of `most` rays tell a change of this reach as exactly as `most` tell a large one.
+/// Rays, of `most`, that give a change of this reach the same absolute error as `most` give a large one.
 #[must_use]
 pub fn rays(reach: f32, most: u32) -> u32 {
     let share = reach / FULL_REACH;
@@ -222,7 +228,7 @@ pub fn rays(reach: f32, most: u32) -> u32 {
     ((most as f32 * (share * share).clamp(FEWEST_RAYS, 1.0)) as u32).next_multiple_of(4)
 }
 
-/// Averages `values` over neighbours that are `known`, again and again.
+/// Averages `values` repeatedly over neighbours that are `known`.
 fn smooth(values: &mut [Vec3], known: &[bool], graph: &Graph) {
     for _ in 0..LEVEL_SWEEPS {
         let mean = |v: usize| {
@@ -241,10 +247,10 @@ pub fn ratio(irradiance: Vec3, change: Vec3) -> Vec3 {
     ((irradiance + change) / irradiance.max(Vec3::splat(1e-12))).clamp(Vec3::ZERO, Vec3::splat(20.0))
 }
 
-/// Kept vertices within `distance` of something removed.
-fn near_removed(world: &World, distance: f32) -> Vec<bool> {
-    let positions = &world.kept.object.mesh.positions;
-    let Some(removed) = &world.removed else {
+/// Kept vertices within `distance` (m) of a removed object.
+fn near_removed(scene: &BeforeAfterScene, distance: f32) -> Vec<bool> {
+    let positions = &scene.kept.object.mesh.positions;
+    let Some(removed) = &scene.removed else {
         return vec![false; positions.len()];
     };
     let cell = |p: Vec3| (p / distance.max(f32::MIN_POSITIVE)).floor().as_ivec3().to_array();
@@ -265,27 +271,27 @@ fn near_removed(world: &World, distance: f32) -> Vec<bool> {
 }
 
 /// Diffuse light of what is inserted; each round adds a bounce between its own parts.
-fn light_inserted(world: &mut World, config: &RealityConfig, rounds: u32) {
-    let Some(body) = &world.inserted else {
+fn light_inserted(scene: &mut BeforeAfterScene, config: &RealityConfig, rounds: u32) {
+    let Some(body) = &scene.inserted else {
         return;
     };
-    let looks = body.object.vertex_looks();
+    let brdfs = body.object.vertex_brdfs();
     for round in 0..rounds {
-        let Some(body) = &world.inserted else {
+        let Some(body) = &scene.inserted else {
             return;
         };
-        let radiance: Vec<Vec3> = looks
+        let radiance: Vec<Vec3> = brdfs
             .par_iter()
             .enumerate()
-            .map(|(v, look)| {
-                if look.diffuse == Vec3::ZERO {
+            .map(|(v, brdf)| {
+                if brdf.diffuse == Vec3::ZERO {
                     return Vec3::ZERO;
                 }
                 let seed = hash(v as u32, config.seed ^ (0xb0d7 + round));
-                look.diffuse * world.gather(&body.vertex_spot(v), Side::After, config.object_rays, 0, seed)
+                brdf.diffuse * scene.gather(&body.vertex_point(v), Side::After, config.object_rays, 0, seed)
             })
             .collect();
-        if let Some(body) = &mut world.inserted {
+        if let Some(body) = &mut scene.inserted {
             body.after.clone_from(&radiance);
             body.radiance = radiance;
         }

@@ -1,14 +1,15 @@
-//! One picture of a changed world: differential rendering over a photo, or over the model's own picture.
+//! One picture of a changed scene: differential rendering (Debevec, SIGGRAPH 1998) over a photo, or over the model's own
+//! picture.
 //!
 //! `picture = photo · (render with) / (render without)` where a surface stays in view: the same as
-//! `photo + gain · (with − without)` when the photo itself says what the surface's colour is, so that texture and noise
+//! `photo + gain · (with − without)` when the photo itself gives the surface's colour, so that texture and noise
 //! of the photo scale with its light. What was not in view before is rendered with the keyframe's gain.
 
 use crate::numerics::random::hash;
 use crate::rays::Hit;
-use crate::render::before_after_scene::{Body, Side, Spot};
+use crate::render::before_after_scene::{Body, Side, SurfacePoint};
 use crate::render::change::{Changed, ratio, rays};
-use crate::render::objects::object::{interpolate, weights};
+use crate::render::objects::object::interpolate;
 use crate::render::sampling::point;
 use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};
@@ -68,14 +69,14 @@ pub struct Picture {
     pub touched: Vec<bool>,
 }
 
-/// What a pixel's centre shows of the kept and the removed surface.
+/// The kept and the removed surface at a pixel's centre.
 #[derive(Debug, Clone, Copy)]
 struct Ground {
-    kept: Option<(Hit, Spot)>,
+    kept: Option<(Hit, SurfacePoint)>,
     removed: bool,
 }
 
-/// The model as scanned: what the picture is put over when there is no photo.
+/// The model as scanned: the base picture where there is no photo.
 #[must_use]
 pub fn model(changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> Vec<Vec3> {
     let (width, height) = view.size();
@@ -95,19 +96,19 @@ pub fn model(changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> Vec
 
 /// Light that comes back along a view ray, gloss of reconstructed surfaces included.
 fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32) -> Vec3 {
-    use crate::render::before_after_scene::Met;
-    let world = &changed.world;
-    match world.meet(eye, d, side) {
-        Met::Beyond => changed.beyond(d),
-        Met::Body(body, hit, _) => {
+    use crate::render::before_after_scene::RayTarget;
+    let scene = &changed.scene;
+    match scene.meet(eye, d, side) {
+        RayTarget::Beyond => changed.beyond(d),
+        RayTarget::Body(body, hit, _) => {
             let t = body.object.mesh.triangles[hit.triangle as usize];
             let light = interpolate(if side == Side::After { &body.after } else { &body.radiance }, t, &hit);
-            let look = body.object.look(&hit);
-            if look.is_matt() {
+            let brdf = body.object.brdf(&hit);
+            if brdf.is_diffuse() {
                 return light;
             }
-            let spot = body.spot(eye, d, &hit);
-            light + world.reflected(&spot, &look, d, side, 1, seed, GLOSS_RAYS, 0)
+            let spot = body.surface_point(eye, d, &hit);
+            light + scene.reflected(&spot, &brdf, d, side, 1, seed, GLOSS_RAYS, 0)
         }
     }
 }
@@ -121,20 +122,20 @@ fn within_pixel(i: usize, width: usize, sample: u32, seed: u32, config: &Reality
     center + Vec2::new(c, s) * r
 }
 
-/// Puts the change of `changed` over `base` (linear, as the camera gave it).
+/// Renders the change over `base` (linear, `[pixel]`, as the camera gave it).
 #[must_use]
 pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &RealityConfig) -> Picture {
     let (width, height) = view.size();
     let eye = view.eye();
-    let world = &changed.world;
+    let scene = &changed.scene;
     let ground: Vec<Ground> = (0..width * height)
         .into_par_iter()
         .map(|i| {
             let d = view.ray((i % width) as f32, (i / width) as f32);
-            let kept = world.kept.bvh.closest_hit(eye, d);
-            let removed = world.removed.as_ref().and_then(|b| b.bvh.closest_hit(eye, d));
+            let kept = scene.kept.bvh.closest_hit(eye, d);
+            let removed = scene.removed.as_ref().and_then(|b| b.bvh.closest_hit(eye, d));
             let removed = removed.is_some_and(|r| kept.is_none_or(|k| r.distance < k.distance));
-            Ground { kept: kept.map(|k| (k, world.kept.spot(eye, d, &k))), removed }
+            Ground { kept: kept.map(|k| (k, scene.kept.surface_point(eye, d, &k))), removed }
         })
         .collect();
     let uncovered = uncovered(&ground, width, height, config.removal_margin_px);
@@ -144,7 +145,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
         .map(|i| {
             let mut value = base[i];
             let mut touched = false;
-            // Where light changes by much, what the photo shows is mostly the contact itself: its surface is rendered.
+            // Where light changes by much, the photo mostly shows the contact itself: the surface is rendered instead.
             let deep =
                 light.ratio[i].map_or(0.0, |r| ((r.max_element() - DEEP[0]) / (DEEP[1] - DEEP[0])).clamp(0.0, 1.0));
             let share = uncovered[i].max(deep);
@@ -155,7 +156,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
             if share > 0.0 {
                 let behind = match &ground[i].kept {
                     Some((hit, _)) => {
-                        let t = world.kept.object.mesh.triangles[hit.triangle as usize];
+                        let t = scene.kept.object.mesh.triangles[hit.triangle as usize];
                         interpolate(&changed.reflectance, t, hit) * light.irradiance[i]
                     }
                     None => changed.beyond(view.ray((i % width) as f32, (i / width) as f32)),
@@ -163,7 +164,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
                 value = value.lerp(view.gain * behind, share);
                 touched = true;
             }
-            let (color, cover) = in_front(changed, view, i, config);
+            let (color, cover) = inserted_radiance(changed, view, i, config);
             if cover > 0.0 {
                 value = value * (1.0 - cover) + view.gain * color;
                 touched = true;
@@ -174,7 +175,7 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
     Picture { linear: linear.iter().map(|p| p.0).collect(), touched: linear.iter().map(|p| p.1).collect() }
 }
 
-/// Share of each pixel that a removed thing, its blur included, covered: 1 inside, falling off over the margin.
+/// Share `[pixel]` that a removed object covered, blur included: 1 inside, falling off over the margin (pixels).
 fn uncovered(ground: &[Ground], width: usize, height: usize, margin: u32) -> Vec<f32> {
     let mut share: Vec<f32> = ground.iter().map(|g| f32::from(u8::from(g.removed))).collect();
     if !ground.iter().any(|g| g.removed) {
@@ -222,8 +223,8 @@ fn lighting(
     height: usize,
     config: &RealityConfig,
 ) -> Lighting {
-    let world = &changed.world;
-    let triangles = &world.kept.object.mesh.triangles;
+    let scene = &changed.scene;
+    let triangles = &scene.kept.object.mesh.triangles;
     let reached = |hit: &Hit| {
         let t = triangles[hit.triangle as usize];
         t.iter().all(|&v| changed.reached[v as usize])
@@ -237,7 +238,7 @@ fn lighting(
             };
             let seed = hash(i as u32, config.seed ^ 0x9a7e);
             let after = if uncovered[i] > 0.0 {
-                world.gather(spot, Side::After, config.pixel_rays / 4, 0, seed)
+                scene.gather(spot, Side::After, config.pixel_rays / 4, 0, seed)
             } else {
                 Vec3::ZERO
             };
@@ -245,7 +246,7 @@ fn lighting(
                 return (None, after);
             }
             let before = interpolate(&changed.irradiance, triangles[hit.triangle as usize], hit);
-            let change = world.change(spot, rays(world.reach(spot), config.pixel_change_rays), seed);
+            let change = scene.change(spot, rays(scene.reach(spot), config.pixel_change_rays), seed);
             let after = if uncovered[i] > 0.0 { after } else { (before + change).max(Vec3::ZERO) };
             (Some(ratio(before, change)), after)
         })
@@ -284,21 +285,24 @@ fn lighting(
                     }
                 }
             }
-            (raw[i].0.filter(|_| wr > 0.0).map(|_| believed(r / wr)), if we > 0.0 { e / we } else { raw[i].1 })
+            (
+                raw[i].0.filter(|_| wr > 0.0).map(|_| shrink_small_change(r / wr)),
+                if we > 0.0 { e / we } else { raw[i].1 },
+            )
         })
         .collect();
     Lighting { ratio: filtered.iter().map(|f| f.0).collect(), irradiance: filtered.iter().map(|f| f.1).collect() }
 }
 
-/// A ratio of light, small changes drawn towards none.
-fn believed(ratio: Vec3) -> Vec3 {
+/// A ratio of light with small changes shrunk towards 1.
+fn shrink_small_change(ratio: Vec3) -> Vec3 {
     let d = ratio - 1.0;
     d * d * d / (d * d + BELIEVED * BELIEVED) + 1.0
 }
 
-/// Inserted things in a pixel: their radiance times the share of the pixel they cover, and that share.
-fn in_front(changed: &Changed, view: &Viewpoint, i: usize, config: &RealityConfig) -> (Vec3, f32) {
-    let Some(body) = &changed.world.inserted else {
+/// Inserted objects in a pixel: their radiance times the share of the pixel they cover, and that share.
+fn inserted_radiance(changed: &Changed, view: &Viewpoint, i: usize, config: &RealityConfig) -> (Vec3, f32) {
+    let Some(body) = &changed.scene.inserted else {
         return (Vec3::ZERO, 0.0);
     };
     let (width, _) = view.size();
@@ -309,47 +313,41 @@ fn in_front(changed: &Changed, view: &Viewpoint, i: usize, config: &RealityConfi
         let p = within_pixel(i, width, s, seed, config);
         let d = view.ray(p.x, p.y);
         let Some(hit) = visible(changed, body, view.eye(), d) else {
-            // Most pixels are far from anything: a few samples tell.
+            // Most pixels are far from every object: a few samples suffice.
             if s == 3 && cover == 0 && !near(changed, view, p) {
                 break;
             }
             continue;
         };
         cover += 1;
-        let look = body.object.look(&hit);
-        let spot = body.spot(view.eye(), d, &hit);
-        if look.diffuse != Vec3::ZERO {
-            color += look.diffuse * changed.world.gather(&spot, Side::After, rays, s * rays, seed);
+        let brdf = body.object.brdf(&hit);
+        let spot = body.surface_point(view.eye(), d, &hit);
+        if brdf.diffuse != Vec3::ZERO {
+            color += brdf.diffuse * changed.scene.gather(&spot, Side::After, rays, s * rays, seed);
         }
-        if !look.is_matt() {
-            color += changed.world.reflected(&spot, &look, d, Side::After, 0, seed, rays, s * rays);
+        if !brdf.is_diffuse() {
+            color += changed.scene.reflected(&spot, &brdf, d, Side::After, 0, seed, rays, s * rays);
         }
     }
     let n = config.pixel_samples as f32;
     (color / n, cover as f32 / n)
 }
 
-/// The hit of a view ray on something inserted, if nothing kept is nearer.
+/// The hit of a view ray on an inserted object that no kept surface hides.
 fn visible(changed: &Changed, body: &Body, eye: Vec3, d: Vec3) -> Option<Hit> {
     let hit = body.bvh.closest_hit(eye, d)?;
-    (!changed.world.kept.bvh.occluded_within(eye, d, hit.distance)).then_some(hit)
+    (!changed.scene.kept.bvh.occluded_within(eye, d, hit.distance)).then_some(hit)
 }
 
-/// True if something inserted is about where pixel `p` looks.
+/// True if an inserted object is near the ray of pixel `p`.
 fn near(changed: &Changed, view: &Viewpoint, p: Vec2) -> bool {
     let d = view.ray(p.x, p.y);
     let slack = 4.0 / view.camera.intrinsics.fx as f32;
-    changed.world.changes.iter().any(|b| {
+    changed.scene.changes.iter().any(|b| {
         let to = b.center - view.eye();
         let along = to.dot(d);
         let radius = b.radius + slack * along.max(0.0);
         to.length_squared() <= radius * radius
             || (along > 0.0 && to.length_squared() - along * along <= radius * radius)
     })
-}
-
-/// Weights of the corners of a hit, for callers that keep their own arrays.
-#[must_use]
-pub fn corners(hit: &Hit) -> [f32; 3] {
-    weights(hit)
 }

@@ -3,11 +3,11 @@
 use crate::numerics::random::hash;
 use crate::numerics::sh;
 use crate::rays::RayScene;
-use crate::render::before_after_scene::{Met, Part, Side};
+use crate::render::before_after_scene::{Part, RayTarget, Side};
 use crate::render::change::Changed;
 use crate::render::compose::{Picture, Viewpoint};
 use crate::render::lighting::environment::Environment;
-use crate::render::objects::material::Look;
+use crate::render::objects::material::Brdf;
 use crate::render::objects::object::weights;
 use crate::render::sampling::point;
 use crate::transfer::{Transfer, bounce, trace};
@@ -67,13 +67,13 @@ pub struct Relight {
     scanned: Vec<Vec3>,
     scene: RayScene,
     mesh: recordings::types::Mesh,
-    looks: Vec<Look>,
+    brdfs: Vec<Brdf>,
     kept: usize,
 }
 
 /// Kept hits of one view.
 #[derive(Debug)]
-pub struct KeptView {
+pub struct CachedView {
     samples: Vec<Sample>,
     gloss: Vec<Gloss>,
 }
@@ -82,23 +82,23 @@ impl Relight {
     /// Traces the transfer of what is there after the change.
     #[must_use]
     pub fn new(changed: &Changed, config: &RealityConfig, report: &(dyn Fn(f64) + Sync)) -> Self {
-        let world = &changed.world;
-        let mut object = world.kept.object.clone();
+        let before_after = &changed.scene;
+        let mut object = before_after.kept.object.clone();
         let kept = object.mesh.positions.len();
         for v in 0..kept {
             if changed.filled[v] && changed.reflectance[v].max_element() > 0.0 {
                 object.color[v] = changed.reflectance[v].clamp(Vec3::ZERO, Vec3::ONE);
             }
         }
-        let mut scanned = world.kept.radiance.clone();
-        if let Some(inserted) = &world.inserted {
+        let mut scanned = before_after.kept.radiance.clone();
+        if let Some(inserted) = &before_after.inserted {
             object.append(&inserted.object);
             scanned.resize(object.mesh.positions.len(), Vec3::ZERO);
         }
         let scene = RayScene::new(&object.mesh);
         let traced = trace(&object.mesh, &scene, BANDS, config.relight_rays, config.seed, report);
-        let looks = object.vertex_looks();
-        let albedo: Vec<Vec3> = looks.iter().map(|l| l.diffuse).collect();
+        let brdfs = object.vertex_brdfs();
+        let albedo: Vec<Vec3> = brdfs.iter().map(|l| l.diffuse).collect();
         let bounced = Some(bounce(&traced, &albedo, 0));
         Self {
             transfer: Transfer { traced: traced.into(), bounced },
@@ -106,14 +106,14 @@ impl Relight {
             scanned,
             scene,
             mesh: object.mesh,
-            looks,
+            brdfs,
             kept,
         }
     }
 
     /// Finds what a view shows.
     #[must_use]
-    pub fn view(&self, changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> KeptView {
+    pub fn view(&self, changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> CachedView {
         let (width, height) = view.size();
         let eye = view.world_from_camera.translation.as_vec3();
         let per_pixel = (GRID * GRID) as usize;
@@ -130,8 +130,8 @@ impl Relight {
                 };
                 let t = self.mesh.triangles[hit.triangle as usize];
                 let in_photo = (t[0] as usize) < self.kept
-                    && changed.world.removed.as_ref().is_none_or(|_| {
-                        matches!(changed.world.meet(eye, d, Side::Before), Met::Body(_, _, Part::Kept))
+                    && changed.scene.removed.as_ref().is_none_or(|_| {
+                        matches!(changed.scene.meet(eye, d, Side::Before), RayTarget::Body(_, _, Part::Kept))
                     });
                 let w = weights(&hit);
                 Sample::Surface(t, [w[1], w[2]], in_photo)
@@ -145,7 +145,7 @@ impl Relight {
         }
         let gloss = (0..shown.len())
             .into_par_iter()
-            .filter(|&v| shown[v] && !self.looks[v].is_matt())
+            .filter(|&v| shown[v] && !self.brdfs[v].is_diffuse())
             .map(|v| {
                 let (p, n) = (self.mesh.positions[v], self.mesh.normals[v]);
                 let o = (eye - p).normalize_or(n);
@@ -155,20 +155,20 @@ impl Relight {
                     Some(hit) => Mirrored::Vertex(self.mesh.triangles[hit.triangle as usize][0]),
                     None => Mirrored::Light(r),
                 };
-                let look = &self.looks[v];
+                let brdf = &self.brdfs[v];
                 Gloss {
                     vertex: v as u32,
-                    reflectance: look.reflectance(n.dot(o)),
-                    smooth: look.alpha < SMOOTH,
+                    reflectance: brdf.reflectance(n.dot(o)),
+                    smooth: brdf.alpha < SMOOTH,
                     mirrored,
                 }
             })
             .collect();
-        KeptView { samples, gloss }
+        CachedView { samples, gloss }
     }
 
     /// Light that leaves every vertex towards the view under a new light.
-    fn vertices(&self, view: &KeptView, light: &NewLight) -> Vec<Vec3> {
+    fn vertices(&self, view: &CachedView, light: &NewLight) -> Vec<Vec3> {
         let irradiance = self.transfer.irradiance(&light.coefficients);
         let mut out: Vec<Vec3> =
             irradiance.par_iter().zip(&self.albedo).map(|(e, a)| (*a * *e).max(Vec3::ZERO)).collect();
@@ -192,7 +192,7 @@ impl Relight {
 
     /// The view under a new light, over `photo` if there is one (linear); `gain` is the view's.
     #[must_use]
-    pub fn picture(&self, view: &KeptView, light: &NewLight, gain: Vec3, photo: Option<&[Vec3]>) -> Picture {
+    pub fn picture(&self, view: &CachedView, light: &NewLight, gain: Vec3, photo: Option<&[Vec3]>) -> Picture {
         let vertices = self.vertices(view, light);
         let per_pixel = (GRID * GRID) as usize;
         let at = |values: &[Vec3], t: &[u32; 3], w: &[f32; 2]| {

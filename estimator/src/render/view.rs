@@ -1,9 +1,8 @@
 //! Where pictures are taken from: keyframes, witnesses, an orbit, or cameras from a file.
 
 use crate::rays::RayScene;
-use crate::render::RealityError;
-use crate::render::Result;
 use crate::render::compose::Viewpoint;
+use crate::render::error::{RenderError, Result};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -29,7 +28,7 @@ pub enum ViewChoice {
 /// Frames of an orbit unless a number is given.
 const ORBIT_FRAMES: usize = 72;
 /// Frames that one command renders at most.
-const MOST_FRAMES: usize = 10_000;
+const MAX_FRAMES: usize = 10_000;
 /// Elevation of the orbit.
 const ORBIT_ELEVATION: f64 = 0.6;
 
@@ -40,7 +39,7 @@ impl std::str::FromStr for ViewChoice {
         Ok(match text.split_once(':') {
             Some(("keyframe", n)) => Self::Keyframe(number(n)?),
             Some(("witness", n)) => Self::Witness(number(n)?),
-            Some(("orbit", n)) => Self::Orbit(number(n)?.clamp(1, MOST_FRAMES)),
+            Some(("orbit", n)) => Self::Orbit(number(n)?.clamp(1, MAX_FRAMES)),
             None if text == "all" => Self::All,
             None if text == "orbit" => Self::Orbit(ORBIT_FRAMES),
             _ if text.ends_with(".json") => Self::File(text.into()),
@@ -74,7 +73,7 @@ pub fn views(
     };
     let keyframe = |n: usize| -> Result<View> {
         let k = estimate.keyframes.get(n).ok_or_else(|| {
-            RealityError::Request(format!(
+            RenderError::Request(format!(
                 "there is no keyframe {n}: the result has {}, from 0",
                 estimate.keyframes.len()
             ))
@@ -87,9 +86,9 @@ pub fn views(
         ViewChoice::Keyframe(n) => vec![keyframe(*n)?],
         ViewChoice::All => (0..estimate.keyframes.len()).map(keyframe).collect::<Result<_>>()?,
         ViewChoice::Witness(n) => {
-            let scan = scan.ok_or_else(|| RealityError::Request("witness views need the scan: --scan FILE".into()))?;
+            let scan = scan.ok_or_else(|| RenderError::Request("witness views need the scan: --scan FILE".into()))?;
             let w = scan.witnesses.get(*n).ok_or_else(|| {
-                RealityError::Request(format!("there is no witness {n}: the scan has {}", scan.witnesses.len()))
+                RenderError::Request(format!("there is no witness {n}: the scan has {}", scan.witnesses.len()))
             })?;
             let viewpoint = Viewpoint { camera: w.camera, world_from_camera: w.world_from_camera, gain: Vec3::ONE };
             vec![View { viewpoint, photo: Some(w.color.clone()) }]
@@ -98,7 +97,7 @@ pub fn views(
         ViewChoice::File(path) => from_file(path)?,
     };
     if views.is_empty() {
-        return Err(RealityError::Request("there is no view to render".into()));
+        return Err(RenderError::Request("there is no view to render".into()));
     }
     if let Some((width, height)) = size {
         for view in &mut views {
@@ -170,11 +169,11 @@ fn orbit(estimate: &Estimate, frames: usize) -> Vec<View> {
 
 /// Cameras of a `transforms.json`: OpenGL axes, camera-to-world.
 fn from_file(path: &Path) -> Result<Vec<View>> {
-    let wrong = |what: &str| RealityError::file(path, what);
-    let text = std::fs::read(path).map_err(|e| RealityError::file(path, e))?;
-    let json: Value = serde_json::from_slice(&text).map_err(|e| RealityError::file(path, format!("not JSON: {e}")))?;
+    let wrong = |what: &str| RenderError::file(path, what);
+    let text = std::fs::read(path).map_err(|e| RenderError::file(path, e))?;
+    let json: Value = serde_json::from_slice(&text).map_err(|e| RenderError::file(path, format!("not JSON: {e}")))?;
     let frames = json["frames"].as_array().filter(|f| !f.is_empty()).ok_or_else(|| wrong("no frames in it"))?;
-    if frames.len() > MOST_FRAMES {
+    if frames.len() > MAX_FRAMES {
         return Err(wrong("more than 10000 frames"));
     }
     frames

@@ -1,7 +1,7 @@
 //! Error against seconds, both logarithmic: one panel a scene.
 
-use crate::preview::{FAINT, NOTHING, TEXT, fill, page, write_text};
-use crate::sweep::Point;
+use crate::preview::canvas::{FAINT, NOTHING, TEXT, fill, page, write_text};
+use crate::sweep::point::Point;
 use recordings::decision::TransferLevel;
 use tiny_skia::{Color, FillRule, Paint, PathBuilder, Pixmap, Stroke, Transform};
 

@@ -4,7 +4,6 @@
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
 use crate::sweep::alignment::rigid_alignment;
-use crate::sweep::luminous;
 use glam::{DVec3, Mat3, Vec3};
 use recordings::import::npy::Array;
 use recordings::import::trajectory::read_trajectory;
@@ -26,7 +25,7 @@ pub struct Truth {
     irradiance: Vec<Vec3>,
     /// True poses by time stamp, if the scan has a frame of its own.
     trajectory: BTreeMap<i64, Pose>,
-    /// How far off a surface that was found may be and still be the true one: 1.5 spacings of true vertices.
+    /// Largest distance (m) between a recovered and the true surface to count as the same: 1.5 spacings of true vertices.
     reach: f32,
 }
 
@@ -158,6 +157,10 @@ fn relative_error(ratios: &[Vec3]) -> f64 {
     median(relative).unwrap_or(f64::NAN)
 }
 
+fn luminous(v: &Vec3) -> bool {
+    v.is_finite() && v.min_element() > 0.0
+}
+
 /// Rows `[vertex][rgb]` of an array.
 fn read_rows(path: &Path) -> Result<Vec<Vec3>, recordings::Error> {
     let rows = Array::read(path)?.rgb();
@@ -188,7 +191,7 @@ mod tests {
     #[test]
     fn finer_and_coarser_meshes_are_measured_at_the_same_places() {
         let known = square(40, 0.0);
-        // A third of the square, which finer vertices might crowd, is told wrong by a fifth.
+        // A third of the square, which finer vertices might crowd, is wrong by a fifth.
         let answer = |p: &Vec3| Vec3::splat(if p.x > 0.68 { 0.6 } else { 0.5 });
         let count = known.positions.len();
         let grey = vec![Vec3::splat(0.5); count];
@@ -201,7 +204,7 @@ mod tests {
             let answer = Answer { mesh, scene, views: &[], seen: &seen, albedo, irradiance };
             let at = |p: &Vec3| answer.at(*p, Vec3::Z, truth.reach);
             let places: Vec<[Vec3; 2]> = known.positions.iter().filter_map(at).collect();
-            assert_eq!(truth.errors(&answer), (0.0, 0.0), "the median place is told right");
+            assert_eq!(truth.errors(&answer), (0.0, 0.0), "the median position is right");
             (places.len(), places.iter().filter(|p| p[0].x > 0.55).count() as f64 / places.len() as f64)
         };
         for mesh in [square(80, 0.001), square(20, -0.001), square(7, 0.0)] {

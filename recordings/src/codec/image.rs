@@ -1,4 +1,4 @@
-//! Pictures: what their headers say, whether they are whole, and their pixels.
+//! Pictures: their headers, checks for truncation, and their pixels.
 
 use crate::camera::MAX_SIDE;
 use crate::types::{ColorEncoding, ColorFrame, RgbImage};
@@ -86,7 +86,7 @@ fn checked_pixels(width: u32, height: u32) -> Result<usize, String> {
     Ok(pixels as usize)
 }
 
-/// What a whole, untruncated PNG or JPEG says of itself.
+/// Format and size of a whole PNG or JPEG.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PictureHeader {
     /// PNG or JPEG.

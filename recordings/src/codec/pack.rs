@@ -32,7 +32,7 @@ impl<'a> Input<'a> {
         Err("a number without end".into())
     }
 
-    /// As many little-endian 16-bit words as a number in front says.
+    /// Little-endian 16-bit words, their number in front.
     pub(crate) fn words(&mut self) -> Result<Words<'a>, String> {
         let n = self.varint()? as usize;
         Ok(self.take(n.checked_mul(2).ok_or("the data end early")?)?.as_chunks::<2>().0.iter())

@@ -204,7 +204,7 @@ fn distortion_of(v: &[f64]) -> Distortion {
 }
 
 /// The numbers of a comment `… names = n n n …`: as many as it takes from behind the sign, at least one per coefficient
-/// name. `None` if the comment says nothing of the kind.
+/// name. `None` if the comment carries no such numbers.
 fn named_numbers(comment: &str, names: &str) -> Option<std::result::Result<Vec<f64>, ()>> {
     let (head, tail) = comment.split_once('=')?;
     if !head.trim_end().ends_with(names) {

@@ -1,8 +1,8 @@
 //! The scene of a result: mesh, materials and cameras, with the light of [`light`].
 
+use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
 use crate::export::glb::light::light;
-use crate::export::write_whole;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, ResultKeyframe, Segment};
 use serde_json::{Value, json};

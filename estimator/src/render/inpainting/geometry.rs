@@ -1,7 +1,7 @@
 //! Cuts a part of a surface away and closes what that leaves open.
 
 use crate::mesh::graph::Graph;
-use crate::render::removal::SWEEPS;
+use crate::render::inpainting::membrane::SWEEPS;
 use glam::Vec3;
 use recordings::types::{Mesh, vertex_normals};
 use std::collections::BTreeMap;
@@ -24,8 +24,7 @@ pub struct Cut {
     pub removed_from: Vec<u32>,
 }
 
-/// Cuts the vertices `gone` away and closes the holes that this leaves, so that what stood on a surface does not take a
-/// piece of it along.
+/// Cuts the vertices `gone` away and closes the holes that this leaves.
 #[must_use]
 pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
     let goes = |t: &[u32; 3]| t.iter().any(|&i| gone[i as usize]);
@@ -59,8 +58,8 @@ pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
     Cut { kept, first_patch, removed, removed_from }
 }
 
-/// Open borders of what stays that the removed left or hid: a thing seldom shows where it touches its support, so a hole
-/// was there before. Against the direction of the triangles that stay. `index` is not `u32::MAX` at vertices of what was removed.
+/// Open borders of the kept mesh that the removed part left or hid: an object's contact with its support is seldom
+/// observed, so a hole was there before. Against the direction of the triangles that stay. `index` is not `u32::MAX` at vertices of what was removed.
 fn rings(kept: &Mesh, removed: &Mesh, index: &[u32], edge: f32) -> Vec<Vec<u32>> {
     let graph = Graph::of(removed);
     let mut done = vec![false; removed.positions.len()];

@@ -1,9 +1,9 @@
-//! Continues colour and its texture into what nobody saw: a piece of the known surface beside the hole, moved along the
+//! Continues colour and texture into a hole: a piece of the known surface beside the hole, moved along the
 //! surface into it, its level fitted to the hole's border by a membrane (after Pérez, Gangnet and Blake, "Poisson Image
 //! Editing", SIGGRAPH 2003, on ratios).
 
 use crate::mesh::graph::Graph;
-use crate::render::removal::inpaint;
+use crate::render::inpainting::membrane::inpaint;
 use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
@@ -23,15 +23,15 @@ const LARGEST_SPREAD: f32 = 0.35;
 /// Normals of one surface agree to this cosine.
 const SAME_SURFACE: f32 = 0.8;
 
-/// The known vertices, to be found by place.
-struct Known<'a> {
+/// The known vertices in a grid, found by position.
+struct KnownSurface<'a> {
     mesh: &'a Mesh,
     values: Vec<Vec3>,
     cell: f32,
     cells: BTreeMap<[i32; 3], Vec<u32>>,
 }
 
-impl<'a> Known<'a> {
+impl<'a> KnownSurface<'a> {
     fn new(mesh: &'a Mesh, values: &[Vec3], known: &[bool], edge: f32) -> Self {
         let mut all =
             Self { mesh, values: values.to_vec(), cell: 1.5 * edge.max(f32::MIN_POSITIVE), cells: BTreeMap::new() };
@@ -65,8 +65,8 @@ impl<'a> Known<'a> {
 
 /// Fills `values` where they are not `known`: a membrane everywhere, texture where a piece of the surface beside fits.
 /// `edge` is the mesh's median edge in metres.
-pub fn carry_on(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph: &Graph, edge: f32) {
-    let around = Known::new(mesh, values, known, edge);
+pub fn continue_texture(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph: &Graph, edge: f32) {
+    let around = KnownSurface::new(mesh, values, known, edge);
     inpaint(values, known, graph);
     let mut done = known.to_vec();
     for start in 0..known.len() {
@@ -80,7 +80,7 @@ pub fn carry_on(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph: &Graph,
     }
 }
 
-fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Known, graph: &Graph) {
+fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &KnownSurface, graph: &Graph) {
     let mesh = around.mesh;
     let sum: Vec3 = hole.iter().map(|&v| mesh.normals[v]).sum();
     let normal = sum / hole.len() as f32;
@@ -171,7 +171,7 @@ mod tests {
         };
         let (mut smooth, mut textured) = (blank.clone(), blank);
         inpaint(&mut smooth, &known, &graph);
-        carry_on(&mut textured, &known, &mesh, &graph, 1.0);
+        continue_texture(&mut textured, &known, &mesh, &graph, 1.0);
         assert!(error(&textured) < 0.4 * error(&smooth), "{} {}", error(&textured), error(&smooth));
     }
 }

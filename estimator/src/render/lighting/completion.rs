@@ -1,4 +1,4 @@
-//! The surroundings beyond what few spherical harmonics tell: what keyframes saw of them, an even level elsewhere, and
+//! Completes the light beyond its few spherical harmonics: radiance that keyframes observed, an even level elsewhere, and
 //! lamps where the rest of the light must come from.
 //!
 //! Lamps are found by CLEAN (Högbom, "Aperture Synthesis with a Non-Regular Distribution of Interferometer Baselines",
@@ -6,44 +6,44 @@
 
 use crate::numerics::{robust, sh};
 use crate::render::lighting::environment::{Environment, SIDE, direction};
-use crate::render::lighting::observed_background::Known;
+use crate::render::lighting::observed_background::ObservedTexel;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::Light;
 
 /// Share of a peak that one step moves into a lamp.
 const LOOP_GAIN: f64 = 0.25;
-/// Lamps at most.
-const STEPS: usize = 120;
+/// Maximum number of lamps.
+const MAX_LAMPS: usize = 120;
 /// Directions that are searched for peaks.
 const DIRECTIONS: usize = 4000;
 /// Width of a lamp (radian, standard deviation) at `bands` = 1; the more bands, the better it is located.
 const LAMP_WIDTH: f64 = 0.35;
-/// Peaks below this share of the first are left as they are.
+/// Peaks below this share of the first become no lamp.
 const FAINTEST: f64 = 0.08;
 /// Share of the unseen light that the even level may take.
 const EVEN_SHARE: f64 = 0.7;
-/// Bands of what lamps leave over that are believed, less and less (a Hann window): few harmonics ring, each channel for
-/// itself.
-const BELIEVED_BANDS: f64 = 5.0;
+/// Bands of the residual after the lamps that are kept, with falling weight (a Hann window): few harmonics ring, each
+/// channel separately.
+const RESIDUAL_BANDS: f64 = 5.0;
 /// No direction is darker than this share of the even level.
 const FLOOR: f32 = 0.25;
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Light of a result with the surroundings that its keyframes saw (per texel, or empty).
+/// Light of a result with the background that its keyframes observed (`[texel]`, or empty).
 #[must_use]
-pub fn infer(light: &Light, known: &[Known]) -> Environment {
+pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
     let bands = (light.bands() as usize).min(sh::MAX_BANDS);
     if bands < 2 {
         return Environment::from_light(light);
     }
-    let trust = |i: usize| known.get(i).map_or(0.0, |k| if k.clipped { 0.0 } else { k.trust });
+    let agreement = |i: usize| known.get(i).map_or(0.0, |k| if k.clipped { 0.0 } else { k.agreement });
     let radiance = |i: usize| known.get(i).map_or(Vec3::ZERO, |k| k.radiance);
     let total = &light.coefficients[..bands * bands];
 
-    // The even level: the middle of what was seen, but never more than its share of what is left to explain.
-    let seen = Environment::from_texels((0..SIDE * SIDE).map(|i| radiance(i) * trust(i)).collect());
-    let unseen = Environment::from_texels((0..SIDE * SIDE).map(|i| Vec3::splat(1.0 - trust(i))).collect());
+    // The even level: the median of the observed radiance, at most its share of the light still unexplained.
+    let seen = Environment::from_texels((0..SIDE * SIDE).map(|i| radiance(i) * agreement(i)).collect());
+    let unseen = Environment::from_texels((0..SIDE * SIDE).map(|i| Vec3::splat(1.0 - agreement(i))).collect());
     let (seen_mean, unseen_mean) = (seen.project(1)[0], unseen.project(1)[0]);
     let middle = median(known);
     let even: [f64; 3] = std::array::from_fn(|c| {
@@ -51,20 +51,21 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
         middle.map_or(0.5 * left, |m| m[c]).min(left).max(0.0)
     });
     let even = Vec3::from(even.map(|x| x as f32));
-    let likely = |i: usize| known.get(i).map_or(even, |k| even.lerp(k.likely, k.near));
-    let base = Environment::from_texels((0..SIDE * SIDE).map(|i| likely(i).lerp(radiance(i), trust(i))).collect());
+    let extrapolated = |i: usize| known.get(i).map_or(even, |k| even.lerp(k.extrapolated, k.proximity));
+    let base =
+        Environment::from_texels((0..SIDE * SIDE).map(|i| extrapolated(i).lerp(radiance(i), agreement(i))).collect());
     let explained = base.project(bands);
     let mut rest: Vec<[f64; 3]> =
         total.iter().zip(explained).map(|(t, e)| std::array::from_fn(|c| t[c] - e[c])).collect();
 
-    let lamps = clean(&mut rest, bands, |d| trust(crate::render::lighting::environment::texel(d)) < 0.5);
+    let lamps = clean(&mut rest, bands, |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5);
     let width = LAMP_WIDTH / bands as f64;
     let sharpness = (1.0 / (width * width)) as f32;
     // ∫ exp(s (cos − 1)) dω = 2π (1 − e^(−2s)) / s.
     let peak = sharpness / std::f32::consts::TAU;
     for (k, r) in rest.iter_mut().enumerate() {
-        let l = (k.isqrt() as f64).min(BELIEVED_BANDS);
-        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / BELIEVED_BANDS)));
+        let l = (k.isqrt() as f64).min(RESIDUAL_BANDS);
+        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / RESIDUAL_BANDS)));
     }
     let texels: Vec<Vec3> = (0..SIDE * SIDE)
         .into_par_iter()
@@ -77,10 +78,10 @@ pub fn infer(light: &Light, known: &[Known]) -> Environment {
                     sum += *flux * (peak * libm::expf(x));
                 }
             }
-            let clipped = known.get(i).is_some_and(|k| k.clipped && k.trust > 0.0);
-            let inferred = within(likely(i) + sum, even);
+            let clipped = known.get(i).is_some_and(|k| k.clipped && k.agreement > 0.0);
+            let inferred = within(extrapolated(i) + sum, even);
             let inferred = if clipped { inferred.max(radiance(i)) } else { inferred };
-            inferred.lerp(radiance(i), trust(i))
+            inferred.lerp(radiance(i), agreement(i))
         })
         .collect();
     Environment::from_texels(texels)
@@ -100,8 +101,9 @@ fn within(light: Vec3, even: Vec3) -> Vec3 {
 }
 
 /// Middle radiance of the directions that were seen, per channel.
-fn median(known: &[Known]) -> Option<[f64; 3]> {
-    let channel = |c: usize| robust::median(known.iter().filter(|k| k.trust > 0.5).map(|k| f64::from(k.radiance[c])));
+fn median(known: &[ObservedTexel]) -> Option<[f64; 3]> {
+    let channel =
+        |c: usize| robust::median(known.iter().filter(|k| k.agreement > 0.5).map(|k| f64::from(k.radiance[c])));
     Some([channel(0)?, channel(1)?, channel(2)?])
 }
 
@@ -119,7 +121,7 @@ fn clean(rest: &mut [[f64; 3]], bands: usize, may: impl Fn(Vec3) -> bool) -> Vec
         .collect();
     let mut lamps: Vec<(Vec3, Vec3)> = Vec::new();
     let mut first = None;
-    for _ in 0..STEPS {
+    for _ in 0..MAX_LAMPS {
         let luminance: Vec<f64> = rest.iter().map(|r| (0..3).map(|c| LUMINANCE[c] * r[c]).sum()).collect();
         let value = |row: &[f64]| -> f64 { row.iter().zip(&luminance).map(|(y, l)| y * l).sum() };
         let Some((best, brightest)) =
@@ -155,7 +157,7 @@ mod tests {
         let at = Vec3::new(0.48, 0.36, 0.8);
         let truth = Environment::from_fn(|d| Vec3::splat(0.3) + Vec3::ONE * if d.dot(at) > 0.985 { 60.0 } else { 0.0 });
         let light = Light { coefficients: truth.project(5), ..Light::default() };
-        let found = infer(&light, &[]);
+        let found = complete(&light, &[]);
         assert!(found.radiance(at).y > 10.0 * Environment::from_light(&light).radiance(-at).y.max(0.1));
         let back = found.project(3);
         for (a, b) in back.iter().zip(&light.coefficients) {

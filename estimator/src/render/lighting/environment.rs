@@ -8,7 +8,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use recordings::result::Light;
 
-/// Texels along a side: 0.7° each, finer than what a scan tells of its light.
+/// Texels along a side: 0.7° each, finer than the light that a scan can recover.
 pub const SIDE: usize = 256;
 /// Texels along a side of a light that is known by few directions or coefficients.
 const SMOOTH_SIDE: usize = 64;

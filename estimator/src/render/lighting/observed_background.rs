@@ -1,4 +1,4 @@
-//! What the keyframes saw past the mesh: the part of the surroundings that needs no guess.
+//! Background that the keyframes observed past the mesh: the part of the surroundings that needs no completion.
 
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
@@ -8,34 +8,34 @@ use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::RgbImage;
 
-/// Pixels between samples: finer than a texel of the surroundings.
+/// Pixels between samples: finer than a texel of the environment.
 const STEP: u32 = 3;
-/// Pixels around a sample that must miss the mesh, too: its outline is blurred and its pose not exact.
+/// Pixels around a sample that must also miss the mesh: its outline is blurred and its pose inexact.
 const CLEARANCE: f64 = 4.0;
-/// 8-bit values from here on are clipped: at least this much light.
+/// 8-bit values from which a channel counts as clipped: the radiance is a lower bound.
 const CLIPPED: u8 = 252;
-/// Directions that what nobody saw is continued from, at most.
+/// Maximum number of observed directions to extrapolate from.
 const CONTINUED_FROM: usize = 400;
-/// How fast their influence falls off: to 1/e at 18°.
+/// Sharpness of their weight exp(s (cos − 1)): falls to 1/e at 18°.
 const CONTINUED_SHARPNESS: f32 = 20.0;
-/// Sum of their influence (1 = all around was seen) from which on they say half of what is likely.
+/// Sum of their weights (1 = observed in all directions) at which extrapolation counts half.
 const NEAR: f32 = 0.01;
-/// Keyframes that differ by this share about a direction saw something near, not the surroundings.
+/// Relative spread between keyframes at which a direction shows something near, not the background.
 const SPREAD: f32 = 0.3;
 
 /// Radiance of one texel of the surroundings.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Known {
+pub struct ObservedTexel {
     /// Radiance, in the light's units.
     pub radiance: Vec3,
-    /// How far the keyframes agree, 0..1; 0 = not seen.
-    pub trust: f32,
+    /// Agreement of the keyframes, 0..1; 0 = not observed.
+    pub agreement: f32,
     /// True if the picture was clipped there: the radiance is a lower bound.
     pub clipped: bool,
-    /// What the directions around that were seen let expect here.
-    pub likely: Vec3,
-    /// How near those are, 0..1; 0 = nothing was seen.
-    pub near: f32,
+    /// Radiance extrapolated from observed directions around.
+    pub extrapolated: Vec3,
+    /// Proximity of those, 0..1; 0 = none observed.
+    pub proximity: f32,
 }
 
 /// Camera ray through a pixel, in the world: unit direction.
@@ -47,26 +47,25 @@ pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
 
 /// The keyframes' pictures as a backdrop at infinity, as sharp as they are.
 #[derive(Debug, Default)]
-pub struct Backdrop {
+pub struct ObservedBackground {
     views: Vec<(ResultKeyframe, RgbImage)>,
     table: Vec<f32>,
-    /// What is likely where none looked.
+    /// Extrapolation where no keyframe looked.
     continued: Option<Environment>,
 }
 
-impl Backdrop {
+impl ObservedBackground {
     /// From pictures, one a keyframe (`None` where there is none).
     #[must_use]
-    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[Known]) -> Self {
+    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[ObservedTexel]) -> Self {
         let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
-        let likely = || Environment::from_texels(known.iter().map(|k| k.likely).collect());
-        let continued = known.iter().any(|k| k.near > 0.0).then(likely);
+        let extrapolated = || Environment::from_texels(known.iter().map(|k| k.extrapolated).collect());
+        let continued = known.iter().any(|k| k.proximity > 0.0).then(extrapolated);
         Self { views, table: estimate.response.linear_table().to_vec(), continued }
     }
 
-    /// Radiance from beyond the scan in a unit direction: the middle of what the keyframes saw there past every surface
-    /// that `blocks` a ray (origin, direction), per channel; where none looked, continued from
-    /// where they did. `None` if nowhere.
+    /// Radiance from beyond the scan in a unit direction: per channel the median of the keyframes that look there past
+    /// every surface that `blocks` a ray (origin, direction); extrapolated where none looks, `None` without keyframes.
     #[must_use]
     pub fn radiance(&self, direction: Vec3, blocks: impl Fn(Vec3, Vec3) -> bool) -> Option<Vec3> {
         let seen: Vec<Vec3> = self.views.iter().filter_map(|(k, p)| self.from(k, p, direction, &blocks)).collect();
@@ -110,9 +109,9 @@ impl Backdrop {
     }
 }
 
-/// Continues what was seen smoothly into all directions.
-fn carry_on(known: &mut [Known]) {
-    let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].trust > 0.5).collect();
+/// Extrapolates the observed radiance smoothly into all directions.
+fn extrapolate(known: &mut [ObservedTexel]) {
+    let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].agreement > 0.5).collect();
     let step = seen.len().div_ceil(CONTINUED_FROM).max(1);
     let few: Vec<(Vec3, Vec3)> = seen
         .iter()
@@ -126,21 +125,21 @@ fn carry_on(known: &mut [Known]) {
     let all = CONTINUED_SHARPNESS * 2.0 * step as f32 / (SIDE * SIDE) as f32;
     known.par_iter_mut().enumerate().for_each(|(i, k)| {
         let d = crate::render::lighting::environment::direction(i);
-        // Far from everything seen all weights are small, and alike.
+        // Far from every observed direction all weights are small and equal.
         let weighted = few.iter().map(|(at, r)| {
             let w = libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
             (*r * (1e-6 + w), w)
         });
         let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
-        k.likely = sum / (1e-6 * few.len() as f32 + weight);
+        k.extrapolated = sum / (1e-6 * few.len() as f32 + weight);
         let influence = all * weight;
-        k.near = influence / (influence + NEAR);
+        k.proximity = influence / (influence + NEAR);
     });
 }
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
 #[must_use]
-pub fn surroundings(estimate: &Estimate, scene: &RayScene, pictures: &[Option<RgbImage>]) -> Vec<Known> {
+pub fn surroundings(estimate: &Estimate, scene: &RayScene, pictures: &[Option<RgbImage>]) -> Vec<ObservedTexel> {
     let table = estimate.response.linear_table();
     let views: Vec<Vec<(usize, Vec3, bool)>> = estimate
         .keyframes
@@ -152,18 +151,18 @@ pub fn surroundings(estimate: &Estimate, scene: &RayScene, pictures: &[Option<Rg
     for (i, radiance, clipped) in views.into_iter().flatten() {
         samples[i].push((radiance, clipped));
     }
-    let mut known: Vec<Known> = samples.par_iter().map(|s| agree(s)).collect();
-    carry_on(&mut known);
+    let mut known: Vec<ObservedTexel> = samples.par_iter().map(|s| agree(s)).collect();
+    extrapolate(&mut known);
     known
 }
 
-/// The light with what was seen of the surroundings in place of what was inferred of them.
+/// The light with observed radiance in place of inferred radiance.
 #[must_use]
-pub fn overlay(light: &Environment, known: &[Known]) -> Environment {
+pub fn overlay(light: &Environment, known: &[ObservedTexel]) -> Environment {
     light.overlaid(|i, inferred| {
         let k = &known[i];
         let radiance = if k.clipped { k.radiance.max(inferred) } else { k.radiance };
-        inferred.lerp(radiance, k.trust)
+        inferred.lerp(radiance, k.agreement)
     })
 }
 
@@ -199,14 +198,14 @@ fn one_view(
         .collect()
 }
 
-fn agree(samples: &[(Vec3, bool)]) -> Known {
+fn agree(samples: &[(Vec3, bool)]) -> ObservedTexel {
     if samples.is_empty() {
-        return Known::default();
+        return ObservedTexel::default();
     }
     let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c])).unwrap_or(0.0);
     let radiance = Vec3::new(channel(0), channel(1), channel(2));
     let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum())).unwrap_or(0.0);
     let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
     let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
-    Known { radiance, trust: 1.0 / (1.0 + spread * spread), clipped, ..Known::default() }
+    ObservedTexel { radiance, agreement: 1.0 / (1.0 + spread * spread), clipped, ..ObservedTexel::default() }
 }

@@ -3,8 +3,7 @@
 //! Row r: θ = (r + ½)/H · π from +Z; column c: azimuth 2π (c + ½)/W from +Y, clockwise from above.
 
 use crate::numerics::sh;
-use crate::render::RealityError;
-use crate::render::Result;
+use crate::render::error::{RenderError, Result};
 use crate::render::lighting::environment::Environment;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -15,13 +14,13 @@ use std::io::{BufRead, Read, Seek};
 use std::path::Path;
 
 /// Widest panorama that is accepted, in pixels.
-const WIDEST: usize = 16_384;
+const MAX_WIDTH: usize = 16_384;
 /// Widest that is kept: finer than the texels of an [`Environment`].
-const KEPT: usize = 1024;
+const KEPT_WIDTH: usize = 1024;
 /// Largest file, in bytes.
-const LARGEST_FILE: u64 = 1 << 30;
+const MAX_FILE_BYTES: u64 = 1 << 30;
 /// Longest line of a Radiance header, in bytes.
-const LONGEST_LINE: u64 = 4096;
+const MAX_LINE_BYTES: u64 = 4096;
 const TRUNCATED: &str = "is truncated";
 
 /// A panorama: linear RGB radiance, row-major, `2 height` × `height`.
@@ -44,10 +43,10 @@ impl Reduced {
         if width == 0 || width != 2 * height {
             return Err(format!("is {width}x{height}: a panorama of all directions is twice as wide as high"));
         }
-        if width > WIDEST {
-            return Err(format!("is {width} pixels wide, more than {WIDEST}; scale it down first"));
+        if width > MAX_WIDTH {
+            return Err(format!("is {width} pixels wide, more than {MAX_WIDTH}; scale it down first"));
         }
-        let kept = width.min(KEPT);
+        let kept = width.min(KEPT_WIDTH);
         let n = kept * (kept / 2).max(1);
         Ok(Self { from: [width, height], width: kept, sums: vec![Vec3::ZERO; n], counts: vec![0; n] })
     }
@@ -88,12 +87,12 @@ impl Panorama {
     /// # Errors
     /// Unreadable, damaged, not 2:1, too wide, NaN or negative values.
     pub fn read(path: &Path) -> Result<Self> {
-        let size = std::fs::metadata(path).map_err(|e| RealityError::file(path, e))?.len();
-        if size > LARGEST_FILE {
-            return Err(RealityError::file(path, "is larger than 1 GiB; scale it down first"));
+        let size = std::fs::metadata(path).map_err(|e| RenderError::file(path, e))?.len();
+        if size > MAX_FILE_BYTES {
+            return Err(RenderError::file(path, "is larger than 1 GiB; scale it down first"));
         }
-        let file = std::fs::File::open(path).map_err(|e| RealityError::file(path, e))?;
-        Self::decode(std::io::BufReader::new(file)).map_err(|e| RealityError::file(path, e))
+        let file = std::fs::File::open(path).map_err(|e| RenderError::file(path, e))?;
+        Self::decode(std::io::BufReader::new(file)).map_err(|e| RenderError::file(path, e))
     }
 
     /// Decodes a file, high-range forms without holding it as a whole.
@@ -256,7 +255,7 @@ pub fn turned(coefficients: &[[f64; 3]], yaw: f64) -> Vec<[f64; 3]> {
 fn radiance(mut file: impl BufRead) -> std::result::Result<Panorama, String> {
     let mut line = || {
         let mut text = Vec::new();
-        let n = (&mut file).take(LONGEST_LINE).read_until(b'\n', &mut text).map_err(|e| e.to_string())?;
+        let n = (&mut file).take(MAX_LINE_BYTES).read_until(b'\n', &mut text).map_err(|e| e.to_string())?;
         if n == 0 || text.pop() != Some(b'\n') { Err(TRUNCATED.to_string()) } else { Ok(text) }
     };
     while !line()?.is_empty() {}

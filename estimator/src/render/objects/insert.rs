@@ -1,10 +1,9 @@
-//! What is inserted: an object file, another scan or a part of it, and where it stands.
+//! Objects to insert: an object file, another scan or a part of it, and its place.
 
 use crate::rays::RayScene;
-use crate::render::RealityError;
-use crate::render::Result;
 use crate::render::change::scanned;
 use crate::render::compose::Viewpoint;
+use crate::render::error::{RenderError, Result};
 use crate::render::objects::gltf::document;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
@@ -15,7 +14,7 @@ use recordings::types::Mesh;
 use std::path::{Path, PathBuf};
 
 /// Largest object file, in bytes.
-const LARGEST_FILE: u64 = 1 << 30;
+const MAX_FILE_BYTES: u64 = 1 << 30;
 
 /// `OBJECT[@x,y,z[,yaw_deg[,scale]]]`, where OBJECT is a file or `other.lres[#segment=4,7]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,7 +69,7 @@ impl std::str::FromStr for Insert {
     }
 }
 
-/// Reads an object and puts it in its place on a `mesh`, whose rays `scene` follows; says what is odd about that place.
+/// Reads an object and places it on a `mesh` with the rays `scene`; also returns warnings about its place.
 ///
 /// # Errors
 /// The file cannot be used, or no place is found for it.
@@ -86,13 +85,14 @@ pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &RayScene) ->
     let position = match insert.position {
         Some(p) => p,
         None => middle(view, scene).ok_or_else(|| {
-            RealityError::Request(
+            RenderError::Request(
                 "the middle of the view meets no surface to put the object on; give a position: OBJECT@x,y,z".into(),
             )
         })?,
     };
     object.place(position, insert.yaw_deg.to_radians(), insert.scale);
-    let odd = oddities(&object, mesh, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
+    let odd =
+        placement_warnings(&object, mesh, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
     Ok((object, odd))
 }
 
@@ -104,7 +104,7 @@ fn middle(view: &Viewpoint, scene: &RayScene) -> Option<Vec3> {
     scene.closest_hit(eye, d).map(|hit| eye + d * hit.distance)
 }
 
-fn oddities(object: &Object, mesh: &Mesh, scene: &RayScene) -> Vec<String> {
+fn placement_warnings(object: &Object, mesh: &Mesh, scene: &RayScene) -> Vec<String> {
     let (low, high) = object.bounds();
     let p = &mesh.positions;
     let (from, to) = p.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
@@ -125,14 +125,14 @@ fn oddities(object: &Object, mesh: &Mesh, scene: &RayScene) -> Vec<String> {
 }
 
 fn from_file(path: &Path) -> Result<Object> {
-    let size = std::fs::metadata(path).map_err(|e| RealityError::file(path, e))?.len();
-    if size > LARGEST_FILE {
-        return Err(RealityError::file(path, "is larger than 1 GiB"));
+    let size = std::fs::metadata(path).map_err(|e| RenderError::file(path, e))?.len();
+    if size > MAX_FILE_BYTES {
+        return Err(RenderError::file(path, "is larger than 1 GiB"));
     }
-    let bytes = std::fs::read(path).map_err(|e| RealityError::file(path, e))?;
+    let bytes = std::fs::read(path).map_err(|e| RenderError::file(path, e))?;
     let folder = path.parent().unwrap_or(Path::new("."));
     let object = if bytes.starts_with(b"ply") { ply::read(&bytes) } else { document::read(&bytes, folder) };
-    object.map_err(|e| RealityError::file(path, e))
+    object.map_err(|e| RenderError::file(path, e))
 }
 
 /// A result's surface, or some of its segments.
@@ -140,7 +140,7 @@ fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
     let result = Estimate::read(path)?;
     if let Some(s) = segments.iter().find(|s| !result.segment.contains(s)) {
         let most = result.segments.len().saturating_sub(1);
-        return Err(RealityError::file(path, format!("has no segment {s} (they go from 0 to {most})")));
+        return Err(RenderError::file(path, format!("has no segment {s} (they go from 0 to {most})")));
     }
     let whole = scanned(&result);
     if segments.is_empty() {
@@ -165,7 +165,7 @@ fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
         part.material.push(*m);
     }
     if part.mesh.triangles.is_empty() {
-        return Err(RealityError::file(path, "these segments have no triangle"));
+        return Err(RenderError::file(path, "these segments have no triangle"));
     }
     Ok(part)
 }
@@ -176,7 +176,7 @@ fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
 /// There is no such segment.
 pub fn give_material(object: &mut Object, estimate: &Estimate, segment: u32) -> Result<()> {
     let s = estimate.segments.get(segment as usize).ok_or_else(|| {
-        RealityError::Request(format!("there is no segment {segment}: the result has {}", estimate.segments.len()))
+        RenderError::Request(format!("there is no segment {segment}: the result has {}", estimate.segments.len()))
     })?;
     let of_segment = scanned(estimate).materials.swap_remove(segment as usize);
     object.materials = vec![Material { base_color: Vec3::from(s.albedo.map(|a| a as f32)), ..of_segment }];

@@ -72,10 +72,10 @@ impl Default for Material {
     }
 }
 
-/// How a point of a surface reflects: Lambert of `diffuse` and a GGX lobe of width `alpha` whose reflectance goes
+/// Reflection at a point of a surface: Lambert of `diffuse` and a GGX lobe of width `alpha` whose reflectance goes
 /// from `f0` head-on to `f90` at grazing angles.
 #[derive(Debug, Clone, Copy)]
-pub struct Look {
+pub struct Brdf {
     /// Diffuse albedo.
     pub diffuse: Vec3,
     /// Reflectance of the lobe head-on.
@@ -86,16 +86,16 @@ pub struct Look {
     pub alpha: f32,
 }
 
-impl Look {
-    /// A matt surface.
+impl Brdf {
+    /// A diffuse surface without a lobe.
     #[must_use]
-    pub fn matt(diffuse: Vec3) -> Self {
+    pub fn lambertian(diffuse: Vec3) -> Self {
         Self { diffuse, f0: Vec3::ZERO, f90: 0.0, alpha: 1.0 }
     }
 
-    /// True if nothing is mirrored.
+    /// True if the lobe reflects nothing.
     #[must_use]
-    pub fn is_matt(&self) -> bool {
+    pub fn is_diffuse(&self) -> bool {
         self.f90 <= 0.0 && self.f0.max_element() <= 0.0
     }
 

@@ -1,7 +1,7 @@
 //! A mesh with materials: what is inserted, and how a reconstructed surface looks to light.
 
 use crate::rays::Hit;
-use crate::render::objects::material::{Look, Material};
+use crate::render::objects::material::{Brdf, Material};
 use glam::{Vec2, Vec3};
 use recordings::types::{Mesh, vertex_normals};
 
@@ -36,7 +36,7 @@ pub fn interpolate(values: &[Vec3], triangle: [u32; 3], hit: &Hit) -> Vec3 {
 impl Object {
     /// How the surface looks at a hit.
     #[must_use]
-    pub fn look(&self, hit: &Hit) -> Look {
+    pub fn brdf(&self, hit: &Hit) -> Brdf {
         let t = self.mesh.triangles[hit.triangle as usize];
         let color = if self.color.is_empty() { Vec3::ONE } else { interpolate(&self.color, t, hit) };
         let uv = || {
@@ -46,7 +46,7 @@ impl Object {
         };
         let index = self.material.get(hit.triangle as usize).copied().unwrap_or(0);
         let Some(m) = self.materials.get(index as usize) else {
-            return Look::matt(color);
+            return Brdf::lambertian(color);
         };
         let mut base = m.base_color * color;
         let (mut metallic, mut roughness) = (m.metallic, m.roughness);
@@ -59,7 +59,7 @@ impl Object {
         }
         let (metallic, roughness) = (metallic.clamp(0.0, 1.0), roughness.clamp(0.0, 1.0));
         let dielectric = 0.04 * m.specular;
-        Look {
+        Brdf {
             diffuse: (base * (1.0 - metallic)).clamp(Vec3::ZERO, Vec3::ONE),
             f0: (Vec3::splat(dielectric * (1.0 - metallic) + m.mirror) + base * metallic).clamp(Vec3::ZERO, Vec3::ONE),
             f90: (m.specular * (1.0 - metallic) + metallic + m.mirror).clamp(0.0, 1.0),
@@ -69,15 +69,15 @@ impl Object {
 
     /// The look at a vertex, by the first triangle that holds it: `[vertex]`.
     #[must_use]
-    pub fn vertex_looks(&self) -> Vec<Look> {
-        let mut looks = vec![Look::matt(Vec3::ZERO); self.mesh.positions.len()];
+    pub fn vertex_brdfs(&self) -> Vec<Brdf> {
+        let mut brdfs = vec![Brdf::lambertian(Vec3::ZERO); self.mesh.positions.len()];
         for (index, t) in self.mesh.triangles.iter().enumerate().rev() {
             for (corner, &v) in t.iter().enumerate() {
                 let (u, w) = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)][corner];
-                looks[v as usize] = self.look(&Hit { distance: 0.0, triangle: index as u32, u, v: w });
+                brdfs[v as usize] = self.brdf(&Hit { distance: 0.0, triangle: index as u32, u, v: w });
             }
         }
-        looks
+        brdfs
     }
 
     /// Lowest and highest corner of the bounding box.
@@ -243,8 +243,8 @@ mod tests {
         let mut object = quad();
         object.materials[0] =
             Material { base_color: Vec3::new(0.9, 0.5, 0.1), metallic: 1.0, roughness: 0.0, ..Material::default() };
-        let look = object.look(&Hit { distance: 0.0, triangle: 0, u: 0.2, v: 0.2 });
-        assert_eq!((look.diffuse, look.f0, look.alpha), (Vec3::ZERO, Vec3::new(0.9, 0.5, 0.1), 0.0));
-        assert!((look.reflectance(0.0) - Vec3::ONE).length() < 1e-6);
+        let brdf = object.brdf(&Hit { distance: 0.0, triangle: 0, u: 0.2, v: 0.2 });
+        assert_eq!((brdf.diffuse, brdf.f0, brdf.alpha), (Vec3::ZERO, Vec3::new(0.9, 0.5, 0.1), 0.0));
+        assert!((brdf.reflectance(0.0) - Vec3::ONE).length() < 1e-6);
     }
 }

@@ -1,5 +1,5 @@
-//! Which part of a surface is one thing: what rises from the support that it stands on. A fused scan is one piece of
-//! surface, and its segments are patches of one colour, so neither tells.
+//! Extracts the object that rises from a planar support. A fused scan is one connected surface, and its segments are
+//! patches of one colour, so neither delimits an object.
 
 use crate::mesh::graph::Graph;
 use glam::{DMat3, Vec3};
@@ -14,9 +14,9 @@ const THICKNESS: f32 = 2.0;
 const SAME_NORMAL: f32 = 0.9;
 /// Cosine to a plane tried before under which another is the same.
 const SAME_PLANE: f32 = 0.98;
-/// Share of a thing's border that lies on its support: a plane that cuts it in two is none.
+/// Share of an object's border that must lie on its support: otherwise the plane cuts the object in two.
 const STANDS: f32 = 0.7;
-/// A larger share of the vertices is the scene, not a thing on its support.
+/// A larger share of the vertices is the scene, not an object on its support.
 const LARGEST: f64 = 0.75;
 
 /// A plane; its unit normal points to what stands on it.
@@ -32,9 +32,10 @@ impl Plane {
     }
 }
 
-/// The smallest thing around the vertex `seed` that stands on a large plane; `edge` is the mesh's median edge. `None` where there is no such support, or all above it is most of the scan.
+/// The smallest object around the vertex `seed` that stands on a large plane, as `[vertex]` membership; `edge` is the mesh's
+/// median edge (m). `None` without such a support, or where the object would be most of the scan.
 #[must_use]
-pub fn thing(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> Option<Vec<bool>> {
+pub fn object_on_support(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> Option<Vec<bool>> {
     let n = mesh.positions.len();
     let thickness = THICKNESS * edge;
     let mut planes: Vec<(usize, Plane)> = (0..n)
@@ -56,7 +57,7 @@ pub fn thing(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> Option<Vec<b
         }
         tried.push(plane);
         let Some(rough) = standing_on(mesh, graph, &plane, thickness, seed) else { continue };
-        // A table is not that flat: the same with the plane about the thing.
+        // A table is not that flat: repeat with the plane fitted around the object.
         let near = plane_about(mesh, &plane, thickness, &rough);
         let found = near.and_then(|p| standing_on(mesh, graph, &p, thickness, seed)).unwrap_or(rough);
         let count = found.iter().filter(|x| **x).count();
@@ -88,12 +89,12 @@ fn standing_on(mesh: &Mesh, graph: &Graph, plane: &Plane, thickness: f32, seed: 
     (on as f32 >= STANDS * border.len() as f32).then_some(inside)
 }
 
-/// The least-squares plane of the support within twice a thing's radius.
-fn plane_about(mesh: &Mesh, plane: &Plane, thickness: f32, thing: &[bool]) -> Option<Plane> {
-    let members = || (0..thing.len()).filter(|&v| thing[v]).map(|v| mesh.positions[v]);
+/// The least-squares plane of the support within twice an object's radius.
+fn plane_about(mesh: &Mesh, plane: &Plane, thickness: f32, object: &[bool]) -> Option<Plane> {
+    let members = || (0..object.len()).filter(|&v| object[v]).map(|v| mesh.positions[v]);
     let middle = members().sum::<Vec3>() / members().count().max(1) as f32;
     let radius = members().fold(0.0f32, |r, p| r.max(p.distance(middle)));
-    let near: Vec<Vec3> = (0..thing.len())
+    let near: Vec<Vec3> = (0..object.len())
         .filter(|&v| lies_on(mesh, plane, v, thickness) && mesh.positions[v].distance(middle) < 2.0 * radius)
         .map(|v| mesh.positions[v])
         .collect();
@@ -111,7 +112,7 @@ fn plane_about(mesh: &Mesh, plane: &Plane, thickness: f32, thing: &[bool]) -> Op
     (normal.dot(plane.normal) > SAME_NORMAL && near.len() >= 8).then_some(Plane { at, normal })
 }
 
-/// With the neighbours of what is inside: a rim of the contact.
+/// The members and their neighbours: includes the rim of the contact.
 #[must_use]
 pub fn grown(inside: &[bool], graph: &Graph) -> Vec<bool> {
     (0..inside.len()).map(|v| inside[v] || graph.neighbours(v).iter().any(|&i| inside[i as usize])).collect()

@@ -4,7 +4,7 @@ use super::resources::view_bytes;
 use ::gltf::accessor::{Accessor, DataType, Dimensions, Item, Iter};
 use ::gltf::buffer::View;
 
-/// Rows `[count][N]` of an accessor with at least `N` components; integers are normalised where the accessor says so.
+/// Rows `[count][N]` of an accessor with at least `N` components; integers are normalised where the accessor asks for it.
 pub fn rows<const N: usize>(accessor: &Accessor<'_>, buffers: &[Vec<u8>]) -> Result<Vec<[f64; N]>, String> {
     check::<N>(accessor, buffers)?;
     match accessor.data_type() {

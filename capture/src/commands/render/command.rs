@@ -1,147 +1,38 @@
-//! `lumiscan render`: things put into a result, taken out of it, or lit anew.
+//! `lumiscan render`: inserts objects into a result, removes objects, renders it under another light.
 
-use crate::cli::Settings;
-use crate::commands::frames::{Frame, Kind, Lights, Sink};
+use crate::cli::{RemovalTarget, Render};
+use crate::commands::files::find_scan;
 use crate::commands::output::print;
+use crate::commands::render::lights::Lights;
+use crate::commands::render::sink::{Frame, Kind, Sink};
 use crate::commands::settings::load;
 use crate::commands::settings::use_threads;
 use crate::failure::Failure;
 use crate::report::{Reporter, Step};
-use clap::{Args, ValueEnum};
 use estimator::rays::RayScene;
-use estimator::render::RealityError;
 use estimator::render::change::{Changed, change};
 use estimator::render::compose::{Viewpoint, compose, model};
+use estimator::render::error::RenderError;
 use estimator::render::inpainting::geometry::cut;
-use estimator::render::lighting::completion::infer;
-use estimator::render::lighting::observed_background::{Backdrop, surroundings};
-use estimator::render::objects::insert::{Insert, give_material, load as load_object};
+use estimator::render::lighting::completion::complete;
+use estimator::render::lighting::observed_background::{ObservedBackground, surroundings};
+use estimator::render::objects::insert::{give_material, load as load_object};
 use estimator::render::objects::object::Object;
 use estimator::render::relight::{NewLight, Relight};
-use estimator::render::removal::{Removal, select};
-use estimator::render::view::{View, ViewChoice, sees, views};
+use estimator::render::removal::select::{Removal, select};
+use estimator::render::view::{View, sees, views};
 use firmware_config::RealityConfig;
 use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use recordings::types::{Mesh, RgbImage};
-use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What a picture is put over.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Over {
-    /// The keyframe's own picture.
-    Photo,
-}
-
-/// `lumiscan render`.
-#[derive(Debug, Args)]
-#[command(after_long_help = "\
-Keyframe pictures come from the scan. Options combine freely; --insert and --remove may be given several times. With
---over photo, pixels that the change does not touch stay the photo's, bit for bit.
-
-Examples:
-  lumiscan render result.lres --view keyframe:4 --over photo --insert knot.glb@0.2,-0.1,0 -o out.png
-  lumiscan render result.lres --view keyframe:4 --over photo --remove box:0.1,0,0.001,0.3,0.2,0.1 -o out.png
-  lumiscan render result.lres --view keyframe:0 --light panoramas/ -o frames/
-  lumiscan render result.lres --view orbit:90 --insert other.lres#segment=4 -o turn.mp4")]
-pub struct Render {
-    /// A result (.lres).
-    pub result: PathBuf,
-    /// OUT.png, OUT.exr (linear), OUT.mp4 (through ffmpeg), or a folder of 000.png …
-    #[arg(short, long, value_name = "OUT")]
-    pub output: PathBuf,
-    /// Its scan [default: scan.lscan or the .lscan of the same stem beside the result].
-    #[arg(long, value_name = "FILE")]
-    pub scan: Option<PathBuf>,
-    /// keyframe:N, witness:N, all, orbit[:FRAMES] or cameras in the transforms.json convention.
-    #[arg(long, value_name = "VIEW", default_value = "keyframe:0")]
-    pub view: ViewChoice,
-    /// Size of the pictures in pixels.
-    #[arg(long, value_name = "WxH", value_parser = size)]
-    pub size: Option<(u32, u32)>,
-    /// Brightness factor [default: the keyframe's; under another light, what shows it well].
-    #[arg(long, value_name = "GAIN", value_parser = gain)]
-    pub exposure: Option<f32>,
-    /// Put the change over the keyframe's own picture.
-    #[arg(long)]
-    pub over: Option<Over>,
-    /// OBJECT[@x,y,z[,yaw_deg[,scale]]]: glTF, PLY, or other.lres[#segment=4,7].
-    #[arg(long, value_name = "OBJECT")]
-    pub insert: Vec<Insert>,
-    /// segment:N: what is inserted gets the material of this segment.
-    #[arg(long, value_name = "MATERIAL", value_parser = segment)]
-    pub material: Option<u32>,
-    /// segment:N, box:x0,y0,z0,x1,y1,z1 or point:x,y: the thing that stands under a pixel of the first view.
-    #[arg(long, value_name = "WHAT", value_parser = removal)]
-    pub remove: Vec<Gone>,
-    /// A panorama (.hdr, .exr, .png, .jpg), a folder of them, a video, result:OTHER.lres or sh:FILE.
-    #[arg(long, value_name = "LIGHT")]
-    pub light: Option<String>,
-    /// Turns that light about +Z, counter-clockwise from above.
-    #[arg(long, value_name = "DEG", default_value = "0", allow_negative_numbers = true, value_parser = finite)]
-    pub light_yaw: f32,
-    /// Worker threads [default: one a processor].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub threads: Option<u16>,
-    /// Settings.
-    #[command(flatten)]
-    pub settings: Settings,
-}
-
-/// What is to be removed, as it is said on the command line.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Gone {
-    /// Known without a view.
-    Known(Removal),
-    /// A pixel of the first view.
-    Point(f32, f32),
-}
-
-fn size(text: &str) -> Result<(u32, u32), String> {
-    let wrong = || "must be WxH, each 1 to 8192".to_string();
-    let (w, h) = text.split_once('x').ok_or_else(wrong)?;
-    match (w.parse(), h.parse()) {
-        (Ok(w @ 1..=8192), Ok(h @ 1..=8192)) => Ok((w, h)),
-        _ => Err(wrong()),
-    }
-}
-
-fn finite(text: &str) -> Result<f32, String> {
-    text.parse().ok().filter(|x: &f32| x.is_finite()).ok_or_else(|| format!("`{text}` is not a number"))
-}
-
-fn gain(text: &str) -> Result<f32, String> {
-    finite(text)?.gt(&0.0).then_some(finite(text)?).ok_or_else(|| "must be more than 0".into())
-}
-
-fn segment(text: &str) -> Result<u32, String> {
-    text.strip_prefix("segment:").and_then(|n| n.parse().ok()).ok_or_else(|| "must be segment:N".into())
-}
-
-fn removal(text: &str) -> Result<Gone, String> {
-    let wrong = || "must be segment:N, box:x0,y0,z0,x1,y1,z1 or point:x,y".to_string();
-    let (kind, rest) = text.split_once(':').ok_or_else(wrong)?;
-    if kind == "segment" {
-        return rest.parse().map(|n| Gone::Known(Removal::Segment(n))).map_err(|_| wrong());
-    }
-    let n: Vec<f32> = rest.split(',').map(|x| finite(x.trim())).collect::<Result<_, _>>()?;
-    match (kind, n.as_slice()) {
-        ("box", [a, b, c, d, e, f]) => {
-            let (p, q) = (Vec3::new(*a, *b, *c), Vec3::new(*d, *e, *f));
-            Ok(Gone::Known(Removal::Box(p.min(q), p.max(q))))
-        }
-        ("point", [x, y]) => Ok(Gone::Point(*x, *y)),
-        _ => Err(wrong()),
-    }
-}
-
-impl From<RealityError> for Failure {
-    fn from(e: RealityError) -> Self {
+impl From<RenderError> for Failure {
+    fn from(e: RenderError) -> Self {
         match e {
-            RealityError::Request(_) => Self::Usage(e.to_string()),
-            RealityError::Result(_) | RealityError::File { .. } => Self::Input(e.to_string()),
+            RenderError::Request(_) => Self::Usage(e.to_string()),
+            RenderError::Result(_) | RenderError::File { .. } => Self::Input(e.to_string()),
         }
     }
 }
@@ -170,7 +61,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
     let known = surroundings(&estimate, &scene, &pictures);
-    let around = (infer(&estimate.light, &known), Backdrop::new(&estimate, pictures, &known));
+    let around = (complete(&estimate.light, &known), ObservedBackground::new(&estimate, pictures, &known));
     let changed = change(&estimate, around, cut, &objects, &config);
 
     let started = Instant::now();
@@ -217,12 +108,6 @@ fn check_frames(sink: &Sink, views: usize, lights: Option<usize>) -> Result<(), 
     Ok(())
 }
 
-/// The scan that was named, or that stands beside a result.
-pub fn find_scan(named: Option<&Path>, result: &Path) -> Option<PathBuf> {
-    let beside = [result.with_file_name("scan.lscan"), result.with_extension("lscan")];
-    named.map(Path::to_path_buf).or_else(|| beside.into_iter().find(|p| p.is_file()))
-}
-
 /// The scan, if it is there or was named.
 fn read_scan(args: &Render) -> Result<Option<Scan>, Failure> {
     let Some(path) = find_scan(args.scan.as_deref(), &args.result) else {
@@ -263,8 +148,8 @@ fn gone(args: &Render, estimate: &Estimate, scene: &RayScene, view: &Viewpoint) 
         .remove
         .iter()
         .map(|g| match g {
-            Gone::Known(removal) => removal.clone(),
-            Gone::Point(x, y) => {
+            RemovalTarget::Known(removal) => removal.clone(),
+            RemovalTarget::Point(x, y) => {
                 Removal::Ray { origin: view.world_from_camera.translation.as_vec3(), direction: view.ray(*x, *y) }
             }
         })
@@ -367,25 +252,4 @@ fn good_gain(linear: &[Vec3]) -> f32 {
     let mut values: Vec<f32> = linear.iter().map(|p| p.max_element()).filter(|x| *x > 0.0).collect();
     values.sort_by(f32::total_cmp);
     values.get(values.len() * 98 / 100).map_or(1.0, |x| 0.8 / x)
-}
-
-/// True if two paths name the same kind of file.
-pub fn has_extension(path: &Path, extensions: &[&str]) -> bool {
-    path.extension().and_then(|e| e.to_str()).is_some_and(|e| extensions.contains(&e.to_ascii_lowercase().as_str()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn arguments_are_read() {
-        assert_eq!(size("640x480"), Ok((640, 480)));
-        assert!(size("0x4").is_err() && size("640").is_err() && size("9999x9").is_err());
-        assert_eq!(removal("segment:3"), Ok(Gone::Known(Removal::Segment(3))));
-        assert_eq!(removal("box:1,1,1,0,0,0"), Ok(Gone::Known(Removal::Box(Vec3::ZERO, Vec3::ONE))));
-        assert_eq!(removal("point:3,4.5"), Ok(Gone::Point(3.0, 4.5)));
-        assert!(removal("box:1,2").is_err() && removal("point:nan,0").is_err() && removal("all").is_err());
-        assert!(gain("0").is_err() && gain("-1").is_err() && gain("2").is_ok());
-    }
 }

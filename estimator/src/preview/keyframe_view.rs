@@ -17,7 +17,7 @@ const RAYS: usize = 128;
 const NEAR_SHARE: f64 = 1e-3;
 
 /// What one keyframe sees of the mesh.
-pub struct View<'a> {
+pub struct KeyframeView<'a> {
     result: &'a Estimate,
     keyframe: &'a ResultKeyframe,
     /// Supersampled.
@@ -35,7 +35,7 @@ pub struct Panel {
     pub pixels: Vec<([f32; 3], f32)>,
 }
 
-impl<'a> View<'a> {
+impl<'a> KeyframeView<'a> {
     /// Rasterises the mesh into the keyframe's (undistorted) camera at `width` pixels a row.
     pub fn new(result: &'a Estimate, keyframe: &'a ResultKeyframe, width: u32) -> Self {
         let full = keyframe.camera.intrinsics;
@@ -204,7 +204,7 @@ mod tests {
     #[test]
     fn paint_shows_the_triangle_where_the_camera_sees_it() {
         let result = tiny();
-        let view = View::new(&result, &result.keyframes[0], 64);
+        let view = KeyframeView::new(&result, &result.keyframes[0], 64);
         let panel = view.paint(&[Vec3::ONE; 3], |v| v.to_array());
         assert_eq!((panel.width, panel.height), (64, 48));
         // The triangle spans ±10 px about the principal point.
@@ -218,7 +218,7 @@ mod tests {
     fn model_is_albedo_times_irradiance() {
         // Constant light of coefficient c is radiance 0.282095 c from everywhere; nothing blocks it.
         let result = tiny();
-        let model = View::new(&result, &result.keyframes[0], 64).model();
+        let model = KeyframeView::new(&result, &result.keyframes[0], 64).model();
         let expected = result.albedo[0] * Vec3::new(1.0, 2.0, 3.0) * 0.282_095;
         assert!((model[0] - expected).length() < 1e-4, "{} {expected}", model[0]);
     }

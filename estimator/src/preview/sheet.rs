@@ -1,0 +1,212 @@
+//! The sheet: panels, captions, and the facts of the result.
+
+use crate::export::hdr;
+use crate::numerics::robust::median;
+use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_COLUMNS, fill, page, pixmap, write_text};
+use crate::preview::color::{display, heat, segment_color};
+use crate::preview::keyframe_view::{KeyframeView, Panel};
+use crate::preview::spheres;
+use crate::rays::RayScene;
+use crate::render::lighting::completion::complete;
+use crate::render::lighting::observed_background::surroundings;
+use glam::Vec3;
+use recordings::result::{Estimate, ResultKeyframe};
+use recordings::scan::Scan;
+use recordings::types::RgbImage;
+use std::fmt::Write;
+use tiny_skia::{PixmapPaint, Transform};
+
+/// Panels in a row.
+const COLUMNS: u32 = 4;
+/// Space between panels.
+const GAP: u32 = 16;
+/// Space for a caption.
+const CAPTION: u32 = 28;
+/// Height of a line of text.
+const LINE: u32 = 22;
+/// Factor by which differences are shown.
+const DIFFERENCE: f32 = 4.0;
+/// Width of the small views by which the keyframe is chosen.
+const THUMBNAIL: u32 = 48;
+
+/// Draws the sheet as a PNG file.
+///
+/// # Errors
+/// There is no keyframe to look from, or its picture cannot be decoded.
+pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
+    let coverage = |k| KeyframeView::new(result, k, THUMBNAIL).coverage();
+    let best = result.keyframes.iter().map(|k| (coverage(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let (_, keyframe) = best.ok_or("the result has no keyframe to brdf from")?;
+    let photo =
+        scan.keyframes.iter().find(|k| k.name == keyframe.name).ok_or("the scan lacks the result's keyframe")?;
+    let photo = photo.color.decode().map_err(|e| format!("keyframe {}: {e}", keyframe.name))?;
+
+    let view = KeyframeView::new(result, keyframe, PANEL);
+    let gain = Vec3::from_array(keyframe.gain.map(|g| g as f32));
+    let as_photographed = |v: Vec3| (v * gain).to_array().map(|c| f32::from(result.response.encode(c)) / 255.0);
+    let (albedo_scale, ws_max) = (display_scale(&result.albedo), largest_ws(result));
+    let headlight = view.headlight();
+    let by_segment = |color: &dyn Fn(usize) -> Vec3| -> Vec<Vec3> {
+        result.segment.iter().zip(&headlight).map(|(s, light)| color(*s as usize) * *light).collect()
+    };
+    let ws_of = |s: usize| result.segments.get(s).map_or(0.0, |s| (s.w_s / ws_max.max(1e-6)) as f32);
+
+    let mut panels = vec![
+        (format!("Keyframe {}", keyframe.name), view.photo(&photo)),
+        ("Lit colours, re-rendered".into(), view.paint(&result.lit_color, as_photographed)),
+        ("Albedo × light + gloss".into(), view.paint(&view.model(), as_photographed)),
+        (format!("Albedo (× {albedo_scale:.2})"), view.paint(&result.albedo, |v| display(v * albedo_scale))),
+        (format!("{} segments", result.segments.len()), view.paint(&by_segment(&segment_color), |v| v.to_array())),
+        (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
+        (format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands()), light(result)),
+    ];
+    let height = panels[0].1.height;
+    let balls =
+        spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
+    panels.push(("Grey, silver, mirror in this light".into(), balls));
+    panels.extend(witness(scan, result)?);
+    compose(&panels, &facts(scan, result), height)
+}
+
+/// The witness that is covered most (no step used it), its rendering and what the two differ by; none without witnesses.
+fn witness(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, String> {
+    let of = |w: &recordings::types::Keyframe| ResultKeyframe {
+        name: w.name.clone(),
+        timestamp_ns: 0,
+        gain: [1.0; 3],
+        world_from_camera: w.world_from_camera,
+        camera: w.camera,
+        residual_px: 0.0,
+    };
+    let coverage = |w: &recordings::types::Keyframe| KeyframeView::new(result, &of(w), THUMBNAIL).coverage();
+    let best = scan.witnesses.iter().map(|w| (coverage(w), w)).max_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((_, frame)) = best.filter(|(c, _)| *c > 0.0) else {
+        return Ok(Vec::new());
+    };
+    let picture = frame.color.decode().map_err(|e| format!("witness {}: {e}", frame.name))?;
+    let from = of(frame);
+    let view = KeyframeView::new(result, &from, PANEL);
+    let photo = view.photo(&picture);
+    let mut rendering = view.paint(&view.model(), |v| v.to_array());
+    let table = result.response.linear_table();
+    let gain = exposure(&photo, &rendering, &table);
+    for (rgb, _) in &mut rendering.pixels {
+        *rgb = std::array::from_fn(|c| f32::from(result.response.encode(rgb[c] * gain[c])) / 255.0);
+    }
+    let pixels = photo
+        .pixels
+        .iter()
+        .zip(&rendering.pixels)
+        .map(|((p, pc), (r, rc))| (std::array::from_fn(|c| (p[c] - r[c]).abs() * DIFFERENCE), pc.min(*rc)));
+    let difference = Panel { width: photo.width, height: photo.height, pixels: pixels.collect() };
+    Ok(vec![
+        (format!("Witness {}, used by no step", frame.name), photo),
+        ("Its rendering".into(), rendering),
+        (format!("Difference (x {DIFFERENCE})"), difference),
+    ])
+}
+
+/// Gain per channel under which linear `rendering` is as bright as `photo` (display values): median of ratios.
+fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
+    std::array::from_fn(|c| {
+        let both = photo.pixels.iter().zip(&rendering.pixels);
+        let ratios =
+            both.filter(|((p, pc), (r, rc))| *pc > 0.9 && *rc > 0.9 && p[c] > 0.05 && p[c] < 0.95 && r[c] > 1e-6);
+        median(ratios.map(|((p, _), (r, _))| table[(p[c] * 255.0).round() as usize] / r[c])).unwrap_or(1.0)
+    })
+}
+
+/// The recovered light with what the keyframes saw beyond the scan.
+fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::render::lighting::environment::Environment {
+    let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
+    let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
+    complete(&result.light, &surroundings(result, &RayScene::new(&result.mesh), &pictures))
+}
+
+/// Lays the panels out, the facts in the last place.
+fn compose(panels: &[(String, Panel)], facts: &[String], height: u32) -> Result<Vec<u8>, String> {
+    let cell = (PANEL + GAP, height + CAPTION + GAP);
+    let rows = (panels.len() as u32 + 1).div_ceil(COLUMNS);
+    let mut page = page(COLUMNS * cell.0 + GAP, rows * cell.1 + GAP).ok_or("the sheet is too large")?;
+    let place = |i: usize| (GAP + (i as u32 % COLUMNS) * cell.0, GAP + (i as u32 / COLUMNS) * cell.1);
+    for (i, (caption, panel)) in panels.iter().enumerate() {
+        let (x, y) = place(i);
+        fill(&mut page, (x, y, PANEL, height), NOTHING);
+        let picture = pixmap(panel).ok_or("a panel is empty")?;
+        let top = y + (height.saturating_sub(panel.height)) / 2;
+        page.draw_pixmap(x as i32, top as i32, picture.as_ref(), &PixmapPaint::default(), Transform::identity(), None);
+        write_text(&mut page, (x, y + height + 8), caption, TEXT);
+    }
+    let (x, mut y) = place(panels.len());
+    for (i, line) in facts.iter().enumerate() {
+        write_text(&mut page, (x, y), line, if i == 0 { TEXT } else { FAINT });
+        y += LINE;
+    }
+    page.encode_png().map_err(|e| e.to_string())
+}
+
+/// Facts of the result, in lines that fit a panel.
+fn facts(scan: &Scan, result: &Estimate) -> Vec<String> {
+    let mut text = format!("{}\n", result.name);
+    let (v, t) = (result.mesh.positions.len(), result.mesh.triangles.len());
+    let _ = writeln!(text, "{v} vertices, {t} triangles");
+    let _ = writeln!(text, "{} keyframes of {} frames", result.keyframes.len(), scan.stats.pairs);
+    for w in &result.witnesses {
+        let (lit, model) = (w.lit_psnr_db, w.model_psnr_db);
+        let _ = writeln!(text, "witness {}: lit {lit:.1} dB, model {model:.1} dB", w.name);
+    }
+    for d in &result.decisions {
+        let d = d.text();
+        let _ = writeln!(text, "{}: {}", d.name, d.choice);
+    }
+    for cut in &result.cuts {
+        let _ = writeln!(text, "cut: {cut}");
+    }
+    for warning in &result.warnings {
+        let _ = writeln!(text, "! {warning}");
+    }
+    text.lines().flat_map(|line| wrap(line, TEXT_COLUMNS)).collect()
+}
+
+/// Breaks a line at spaces; continuations are indented.
+fn wrap(line: &str, columns: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in line.split(' ') {
+        let last = lines.len() - 1;
+        if !lines[last].trim().is_empty() && lines[last].chars().count() + 1 + word.chars().count() > columns {
+            lines.push(format!("  {word}"));
+        } else {
+            let space = if lines[last].is_empty() { "" } else { " " };
+            lines[last] += &format!("{space}{word}");
+        }
+    }
+    lines
+}
+
+/// The light as a panorama, its 99th percentile white.
+fn light(result: &Estimate) -> Panel {
+    let (w, h) = (PANEL as usize, PANEL as usize / 2);
+    let radiance: Vec<Vec3> = hdr::panorama(&result.light, (w, h)).into_iter().map(Vec3::from_array).collect();
+    let white = percentile(radiance.iter().map(|v| v.max_element()), 0.99).max(f32::MIN_POSITIVE);
+    let pixels = radiance.iter().map(|v| (display(*v / white), 1.0)).collect();
+    Panel { width: w as u32, height: h as u32, pixels }
+}
+
+/// Factor that brings the brightest albedos near white: their common scale is free.
+fn display_scale(albedo: &[Vec3]) -> f32 {
+    let bright = percentile(albedo.iter().map(|a| a.max_element()), 0.98);
+    if bright > 0.0 { 0.9 / bright } else { 1.0 }
+}
+
+fn percentile(values: impl Iterator<Item = f32>, share: f32) -> f32 {
+    let mut finite: Vec<f32> = values.filter(|v| v.is_finite()).collect();
+    if finite.is_empty() {
+        return 0.0;
+    }
+    let at = ((finite.len() - 1) as f32 * share) as usize;
+    *finite.select_nth_unstable_by(at, f32::total_cmp).1
+}
+
+fn largest_ws(result: &Estimate) -> f64 {
+    result.segments.iter().map(|s| s.w_s).filter(|w| w.is_finite()).fold(0.0, f64::max)
+}
