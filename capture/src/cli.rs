@@ -19,14 +19,14 @@ pub use settings::Settings;
     arg_required_else_help = true,
     after_long_help = "\
 Examples:
-  lumiscan replay recordings/data/tabletop.lrec       scan, estimate and publish into ./lumiscan-device/scans/
+  lumiscan replay recordings/data/tabletop.lrec       fuse, estimate and publish into ./lumiscan-device/scans/
   lumiscan inspect lumiscan-device/scans/*/result.lres
   lumiscan export lumiscan-device/scans/<id>/result.lres --to folder -o /tmp/result
 
 Results go to stdout, progress and log lines to stderr.
 
 Exit codes:
-  0  done (a planned cut that the result records is done, too)
+  0  success (also with planned cuts, which the result records)
   1  internal error
   2  usage or configuration
   3  no device, or unreadable input
@@ -34,13 +34,13 @@ Exit codes:
   5  a stage had to be abandoned for the budget; a partial result was written"
 )]
 pub struct Cli {
-    /// What to do.
+    /// The command.
     #[command(subcommand)]
     pub command: Command,
-    /// More log lines.
+    /// Print more log lines.
     #[arg(short, long, global = true)]
     pub verbose: bool,
-    /// JSON: progress and log lines on stderr, results on stdout.
+    /// Print JSON: progress and log lines on stderr, results on stdout.
     #[arg(long, global = true)]
     pub json: bool,
 }
@@ -48,11 +48,11 @@ pub struct Cli {
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Replay a recording: fuse, estimate light and materials, publish the scan in the device folder.
+    /// Replay a recording: fuse it, estimate light and materials, publish the scan in the device folder.
     Replay(Replay),
     /// Estimate light and materials from a scan file.
     Estimate(Estimate),
-    /// Turn foreign data into a recording or a scan.
+    /// Convert a TUM RGB-D folder to a recording, or a mesh with posed photos to a scan.
     Import(Import),
     /// Write a result, or a recording, in a form that other programs read.
     Export(Export),
@@ -60,17 +60,17 @@ pub enum Command {
     Render(Box<Render>),
     /// Print every setting with unit, range and default, as a configuration file.
     Config(Config),
-    /// The daemon: wait for a Kinect, scan on command or by itself, publish.
+    /// Run the daemon: wait for a Kinect, scan on request or on motion, publish.
     Capture(Capture),
-    /// Start or stop a scan of the daemon, or ask what it does.
+    /// Start or stop a scan of the daemon, or print its status.
     Scan(Scan),
-    /// Test this machine: sensor, USB, disk, memory, speed; each with the remedy.
+    /// Test this machine: sensor, USB, disk, memory, speed; name remedies.
     Check(Check),
     /// List the sensors that are plugged in.
     List(List),
-    /// Record what a Kinect sends.
+    /// Record the frames or USB packets of a Kinect.
     Record(Record),
-    /// Say what a recording, a scan or a result holds.
+    /// Print the contents of a recording, a scan or a result.
     Inspect(Inspect),
     /// Measure speed against accuracy on scenes with known truth.
     Trade(Trade),
@@ -109,22 +109,22 @@ impl QualityPoint {
     }
 }
 
-/// What a run of the estimator may spend.
+/// Limits of a run of the estimator.
 #[derive(Debug, Args)]
 pub struct Effort {
     /// Seconds from the estimator's start to the result on disk.
     #[arg(long, value_name = "S", default_value = "120", value_parser = seconds)]
     pub budget: f64,
-    /// Fixed number of ray rounds: replaces the clock, and the result is the same, byte for byte, on every run.
+    /// Fixed number of ray rounds instead of the budget; the result is then the same, byte for byte, on every run.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: Option<u32>,
-    /// Point of the trade of speed against accuracy, where a setting leaves the choice [default: standard].
+    /// Trade-off of speed and accuracy for settings that are `auto` [default: standard].
     #[arg(long, value_name = "POINT")]
     pub quality: Option<QualityPoint>,
-    /// Worker threads [default: one a processor].
+    /// Worker threads [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Memory that the estimator may ask for, in MB; it ends when it wants more.
+    /// Address space of the estimator in MB; it ends when it needs more.
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     pub memory: Option<u32>,
 }
@@ -132,8 +132,8 @@ pub struct Effort {
 /// `lumiscan replay`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png, viewer.html and trajectory.txt; the last
-line on stdout is that folder's path. Nothing is visible there before all of it is complete.
+Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png, viewer.html and trajectory.txt. The
+folder appears when it is complete; its path is the last line on stdout.
 
 Examples:
   lumiscan replay recordings/data/tabletop.lrec
@@ -142,16 +142,16 @@ Examples:
 pub struct Replay {
     /// A recording (.lrec) or a TUM RGB-D folder.
     pub source: PathBuf,
-    /// Device folder, made if missing.
+    /// Device folder, created if missing.
     #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
     pub device: PathBuf,
-    /// Stop after scan.lscan, manifest.json and trajectory.txt.
+    /// Publish without result, preview and viewer.
     #[arg(long)]
     pub no_estimate: bool,
-    /// Effort of the estimator.
+    /// Limits of the estimator.
     #[command(flatten)]
     pub effort: Effort,
-    /// Play the source N times, forward and backward in turns, with continuing time stamps.
+    /// Play the source N times, alternately forward and backward, with continuous time stamps.
     #[arg(long = "loop", value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     pub loops: u32,
     /// Settings.
@@ -174,18 +174,18 @@ pub struct Estimate {
     /// The result [default: beside the scan; result.lres for scan.lscan, otherwise of the same stem].
     #[arg(short, long, value_name = "RESULT")]
     pub output: Option<PathBuf>,
-    /// Draw the preview sheet of the result, too (what `replay` publishes as preview.png).
+    /// Write the preview sheet, too (`replay` publishes it as preview.png).
     #[arg(long, value_name = "FILE", hide = true)]
     pub preview: Option<PathBuf>,
-    /// Write the page for browsers, too (what `replay` publishes as viewer.html).
+    /// Write the viewer page, too (`replay` publishes it as viewer.html).
     #[arg(long, value_name = "FILE", hide = true)]
     pub viewer: Option<PathBuf>,
-    /// Effort.
+    /// Limits.
     #[command(flatten)]
     pub effort: Effort,
 }
 
-/// What `lumiscan import` reads.
+/// Input formats of `lumiscan import`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ImportFrom {
     /// A TUM RGB-D folder (rgb.txt, depth.txt, camera.txt), to a recording.
@@ -202,14 +202,14 @@ Examples:
   lumiscan import photos ~/ball -o ball.lscan
   lumiscan import photos ~/ball --mesh ~/ball/fine.ply -o ball.lscan")]
 pub struct Import {
-    /// Form of the data.
+    /// Format of the data.
     pub from: ImportFrom,
-    /// Their folder.
+    /// Folder of the data.
     pub dir: PathBuf,
     /// The recording (.lrec) or scan (.lscan) to write.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
-    /// Mesh of the photos [default: DIR/mesh.ply].
+    /// Mesh for the photos [default: DIR/mesh.ply].
     #[arg(long, value_name = "M")]
     pub mesh: Option<PathBuf>,
 }
@@ -278,7 +278,7 @@ Examples:
   lumiscan inspect tabletop.lrec
   lumiscan inspect result.lres --json")]
 pub struct Inspect {
-    /// A recording, a scan or a result; what it is, is read from its contents.
+    /// A recording, a scan or a result, recognised by its contents.
     pub file: PathBuf,
 }
 
@@ -300,7 +300,7 @@ pub struct Trade {
     /// Seconds a scene may take; settings that are left then are not measured.
     #[arg(long, value_name = "S", default_value = "600", value_parser = seconds)]
     pub limit: f64,
-    /// Worker threads [default: one a processor].
+    /// Worker threads [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
 }
@@ -308,31 +308,31 @@ pub struct Trade {
 /// `lumiscan capture`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Signals: SIGUSR1 starts a scan, SIGUSR2 ends it; SIGTERM ends the daemon, which finishes the scan at its next start.
+Signals: SIGUSR1 starts a scan, SIGUSR2 ends it; SIGTERM ends the daemon, which finishes an open scan at its next start.
 
 Examples:
   lumiscan capture --device /var/lib/lumiscan --auto
-  lumiscan capture --simulate desk.lrec               the whole box on a recording; then: lumiscan scan start")]
+  lumiscan capture --simulate desk.lrec               with a simulated Kinect; then: lumiscan scan start")]
 pub struct Capture {
-    /// Device folder, made if missing.
+    /// Device folder, created if missing.
     #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
     pub device: PathBuf,
     /// Control socket [default: control in the device folder].
     #[arg(long, value_name = "PATH", env = "LUMISCAN_SOCKET")]
     pub socket: Option<PathBuf>,
-    /// Scans start when the sensor has been still and then moves, and end when it is still again.
+    /// Start a scan when the sensor moves after stillness, and end it when the sensor is still again.
     #[arg(long)]
     pub auto: bool,
-    /// Publish scans without estimating light and materials.
+    /// Publish scans without results.
     #[arg(long)]
     pub no_estimate: bool,
-    /// End after so many scans.
+    /// Exit after N scans.
     #[arg(long, value_name = "N")]
     pub scans: Option<u64>,
-    /// Worker threads [default: one a processor].
+    /// Worker threads [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// A simulated Kinect instead of a real one: `pattern` or a recording, then `,fault=value` (see capture/README.md).
+    /// Use a simulated Kinect: `pattern` or a recording, then `,fault=value` (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
     /// Settings.
@@ -343,7 +343,7 @@ pub struct Capture {
 /// `lumiscan scan`.
 #[derive(Debug, Args)]
 pub struct Scan {
-    /// What to do.
+    /// The request.
     pub order: Request,
     /// Device folder of the daemon.
     #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
@@ -359,7 +359,7 @@ pub struct Check {
     /// Device folder.
     #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
     pub device: PathBuf,
-    /// A simulated Kinect instead of a real one.
+    /// Use a simulated Kinect (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
     /// Settings.
@@ -370,7 +370,7 @@ pub struct Check {
 /// `lumiscan list`.
 #[derive(Debug, Args)]
 pub struct List {
-    /// A simulated Kinect instead of a real one.
+    /// Use a simulated Kinect (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
 }
@@ -378,27 +378,27 @@ pub struct List {
 /// `lumiscan record`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Ends after --seconds of the device's own clock, or with Ctrl-C; the file is complete either way.
+Ends after --seconds of the device's clock, or with Ctrl-C; the file is complete either way.
 
 Examples:
   lumiscan record desk.lrec                           until Ctrl-C
   lumiscan record desk.lrec --seconds 20
-  lumiscan record desk.lrec --raw                     USB packets as they came, 22 MB/s; replay decodes them
+  lumiscan record desk.lrec --raw                     USB packets unchanged, 22 MB/s; replay decodes them
   lumiscan record x.lrec --seconds 2 --simulate pattern,loss=0.01")]
 pub struct Record {
     /// The recording to write (.lrec).
     #[arg(value_name = "FILE")]
     pub output: PathBuf,
-    /// Length.
+    /// Length of the recording on the device's clock.
     #[arg(long, value_name = "N", value_parser = seconds)]
     pub seconds: Option<f64>,
-    /// Packets instead of frames.
+    /// Record USB packets instead of frames.
     #[arg(long)]
     pub raw: bool,
-    /// A simulated Kinect instead of a real one: `pattern` or a recording, then `,fault=value` (see capture/README.md).
+    /// Use a simulated Kinect: `pattern` or a recording, then `,fault=value` (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
-    /// A sensor of PrimeSense's kind by its OpenNI2 address (empty for the first), or an .oni file.
+    /// Use a PrimeSense sensor by its OpenNI2 address (empty for the first), or an .oni file.
     #[cfg(feature = "openni")]
     #[arg(long, value_name = "ADDRESS")]
     pub openni: Option<String>,

@@ -12,6 +12,7 @@ use crate::status::{Board, State};
 use crate::stop::Stop;
 use crossbeam_channel::{Receiver, Sender, TrySendError, bounded};
 use firmware_config::Config;
+use firmware_config::tuning::GravityTuning;
 use fusion::Fusion;
 use fusion::FusionError;
 use fusion::FusionOutput;
@@ -52,9 +53,6 @@ pub struct Captured {
 
 /// A decoded frame, the up vector in camera axes, and the share of the source that has been played.
 type Played = (RgbdFrame, Option<DVec3>, f64);
-
-/// Specific force, in m/s², that is taken for gravity; a moving sensor measures more or less.
-const GRAVITY_M_S2: std::ops::Range<f64> = 8.5..11.1;
 
 /// Messages to the disk thread.
 enum ToDisk {
@@ -98,7 +96,8 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
         let drop_oldest = pairs.drops_when_slow().then(|| DropOldest { oldest: raw_in.clone(), over: &over });
         let reader = start(scope, "read", move || read(pairs, &raw_out, drop_oldest, board));
         let path: PathBuf = source_path.into();
-        let decoder = start(scope, "decode", move || decode(&raw_in, &frame_out, &path));
+        let decoder =
+            start(scope, "decode", move || decode(&raw_in, &frame_out, &path, &config.capture.tuning.gravity));
         let disk = start(scope, "disk", move || write(writer, &disk_in));
 
         let fused = fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board }, bad_input);
@@ -177,7 +176,8 @@ fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, drop_oldest: &DropOldes
     false
 }
 
-fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<(), Failure> {
+fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path, gravity: &GravityTuning) -> Result<(), Failure> {
+    let gravity_m_s2 = gravity.min_m_s2..gravity.max_m_s2;
     for RawPair { color, depth, acceleration, played } in raw {
         let rgb = color.decode().map_err(|problem| {
             let (shown, time) = (path.display(), color.timestamp_ns as f64 * 1e-9);
@@ -186,7 +186,7 @@ fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path) -> Result<
             ))
         })?;
         // An accelerometer at rest measures the upward reaction to gravity.
-        let up = acceleration.map(|a| DVec3::from(a.map(f64::from))).filter(|a| GRAVITY_M_S2.contains(&a.length()));
+        let up = acceleration.map(|a| DVec3::from(a.map(f64::from))).filter(|a| gravity_m_s2.contains(&a.length()));
         if out.send((RgbdFrame { depth, color, rgb }, up, played)).is_err() {
             break;
         }

@@ -47,5 +47,5 @@ section! {
         depth_to_color_offset_ms: f64 = 0.0, [-500.0..=500.0], "ms", "";
         /// Colour response for sources that do not say.
         response: ResponseChoice = ResponseChoice::Srgb, [()], "", "";
-    }
+    } with crate::tuning::CaptureTuning
 }

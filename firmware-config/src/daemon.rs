@@ -25,5 +25,5 @@ section! {
         memory_limit_mb: u32 = 1400, [64..=1000000], "MB", "";
         /// Address space of the estimator; it ends alone when it wants more. 0 = no limit.
         estimator_limit_mb: u32 = 2000, [0..=1000000], "MB", "";
-    }
+    } with crate::tuning::DaemonTuning
 }

@@ -20,7 +20,7 @@ section! {
         accelerometer_hz: u32 = 5, [0..=50], "1/s", "";
         /// Silence of the streams after which they are started anew.
         silence_ms: u32 = 2000, [200..=60000], "ms", "";
-    }
+    } with crate::tuning::KinectTuning
 }
 
 section! {

@@ -108,7 +108,10 @@ impl Config {
             CameraConfig::SECTION => self.camera.set(field, value),
             RealityConfig::SECTION => self.reality.set(field, value),
             _ => (self.fusion.tuning.set(section, field, value))
-                .or_else(|| self.estimator.tuning.set(section, field, value)),
+                .or_else(|| self.estimator.tuning.set(section, field, value))
+                .or_else(|| self.capture.tuning.set(section, field, value))
+                .or_else(|| self.daemon.tuning.set(section, field, value))
+                .or_else(|| self.kinect.tuning.set(section, field, value)),
         };
         outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
     }
@@ -124,12 +127,15 @@ impl Config {
     pub fn settings(&self) -> Vec<SettingInfo> {
         [
             self.capture.settings(),
+            self.capture.tuning.settings(),
             self.fusion.settings(),
             self.fusion.tuning.settings(),
             self.estimator.settings(),
             self.estimator.tuning.settings(),
             self.daemon.settings(),
+            self.daemon.tuning.settings(),
             self.kinect.settings(),
+            self.kinect.tuning.settings(),
             self.camera.settings(),
             self.reality.settings(),
         ]

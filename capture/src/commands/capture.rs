@@ -36,7 +36,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
     let done = AtomicBool::new(false);
     std::thread::scope(|scope| {
         scope.spawn(|| server.serve(&board, &orders, &done));
-        scope.spawn(|| status_file::publish(&board, &args.device, &stop, &done));
+        scope.spawn(|| status_file::publish(&board, &args.device, &stop, &done, &config.daemon.tuning.supervision));
         Notifier::from_environment().send("READY=1");
         let daemon = Daemon {
             args,

@@ -137,7 +137,7 @@ impl Daemon<'_> {
     /// Streams until the sensor has been still and then moves; `None` when it is unplugged or the daemon is to end.
     fn wait_for_motion(&self, kinect: Kinect) -> Option<Live> {
         let mut live = self.started(Live::start(kinect, &self.config.kinect))?;
-        let mut motion = Motion::new(self.config.daemon.motion);
+        let mut motion = Motion::new(&self.config.daemon);
         let mut armed = false;
         while self.stop.check().is_ok() {
             let polled = live.poll(&mut |_, _| {}, &mut |event| {

@@ -6,23 +6,21 @@ use crate::device_folder::files::replace_unsynced;
 use crate::memory;
 use crate::status::{Board, State, Status};
 use crate::stop::Stop;
+use firmware_config::tuning::SupervisionTuning;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// Time between two versions of `status.json` while the state stays the same.
-const INTERVAL: Duration = Duration::from_secs(1);
-/// Longest time without a heartbeat before the watchdog is no longer fed.
-const STUCK: Duration = Duration::from_secs(45);
-
 /// Writes `status.json` and reports to the service manager until `done` is set; the body of a thread.
-pub fn publish(board: &Board, device: &Path, stop: &Stop, done: &AtomicBool) {
+pub fn publish(board: &Board, device: &Path, stop: &Stop, done: &AtomicBool, tuning: &SupervisionTuning) {
     let notifier = Notifier::from_environment();
     let path = device.join("status.json");
     let (mut written, mut last): (Option<Instant>, Option<State>) = (None, None);
     while !done.load(Ordering::Relaxed) {
         let mut status = board.get();
-        if last != Some(status.state) || written.is_none_or(|t| t.elapsed() >= INTERVAL) {
+        if last != Some(status.state)
+            || written.is_none_or(|t| t.elapsed() >= Duration::from_secs_f64(tuning.status_interval_s))
+        {
             if last != Some(status.state) {
                 notifier.send(&format!("STATUS={}", line(&status)));
             }
@@ -38,7 +36,7 @@ pub fn publish(board: &Board, device: &Path, stop: &Stop, done: &AtomicBool) {
             if let Err(e) = replaced {
                 tracing::debug!("{}: {e}", path.display());
             }
-            if stop.since_heartbeat() < STUCK {
+            if stop.since_heartbeat() < Duration::from_secs_f64(tuning.watchdog_s) {
                 notifier.send("WATCHDOG=1");
             }
         }

@@ -15,8 +15,6 @@ use std::time::Duration;
 const PACKET_BYTES: usize = 3072;
 /// Packets per call of [`Live::poll`]: about two frames.
 const BATCH: usize = 800;
-/// Restarts in a row without a depth frame before the session fails.
-const RESTARTS: u32 = 3;
 /// Pause when the ring is empty.
 const EMPTY_PAUSE: Duration = Duration::from_millis(3);
 
@@ -77,6 +75,7 @@ pub struct Live {
     exposure_us: Option<f64>,
     depth_seen: Duration,
     color_seen: Duration,
+    max_restarts: u32,
     restarts_in_a_row: u32,
     restarts: u32,
     /// Ring counters before the last restart.
@@ -111,6 +110,7 @@ impl Live {
             exposure_us: None,
             depth_seen: now,
             color_seen: now,
+            max_restarts: config.tuning.session.max_restarts,
             restarts_in_a_row: 0,
             restarts: 0,
             earlier: RingStats::default(),
@@ -178,7 +178,7 @@ impl Live {
     /// if the ring is empty.
     ///
     /// # Errors
-    /// The streams stay silent after [`RESTARTS`] restarts.
+    /// The streams stay silent after the permitted number of restarts.
     pub fn poll(
         &mut self,
         raw: &mut impl FnMut(Arrived, &[u8]),
@@ -247,7 +247,7 @@ impl Live {
     fn restart(&mut self) -> Result<(), KinectError> {
         self.restarts_in_a_row += 1;
         self.restarts += 1;
-        if self.restarts_in_a_row > RESTARTS {
+        if self.restarts_in_a_row > self.max_restarts {
             return Err(UsbError::Timeout.into());
         }
         tracing::warn!("the Kinect is silent; restarting its streams");

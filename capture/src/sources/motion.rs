@@ -1,11 +1,10 @@
 //! Detects motion of the sensor from its images, to start and end scans without a keyboard.
 
+use firmware_config::DaemonConfig;
 use recordings::types::{ColorFrame, DepthFrame, TimestampNs};
 
 /// Blocks across and down.
 const GRID: (usize, usize) = (32, 24);
-/// Minimum time between two frames that are compared.
-const COMPARISON_STEP_NS: i64 = 150_000_000;
 
 /// Compares block means of frames. A change of the overall brightness is not motion.
 #[derive(Debug, Default)]
@@ -14,6 +13,8 @@ pub struct Motion {
     depth: BlockImage,
     /// Threshold on the mean relative change.
     threshold: f64,
+    /// Minimum time between two frames that are compared.
+    step_ns: i64,
     moved_at: Option<TimestampNs>,
     first: Option<TimestampNs>,
     newest: Option<TimestampNs>,
@@ -26,17 +27,21 @@ struct BlockImage {
 }
 
 impl Motion {
-    /// Motion is a mean relative change of more than `threshold`.
+    /// Motion is a mean relative change of more than `daemon.motion` within `supervision.motion_step_s`.
     #[must_use]
-    pub fn new(threshold: f64) -> Self {
-        Self { threshold, ..Self::default() }
+    pub fn new(config: &DaemonConfig) -> Self {
+        let step_ns = (config.tuning.supervision.motion_step_s * 1e9) as i64;
+        Self { threshold: config.motion, step_ns, ..Self::default() }
     }
 
     /// Takes a colour frame; returns its mean relative change since the last one compared, if enough time has passed.
     pub fn add_color(&mut self, frame: &ColorFrame) -> Option<f64> {
         let (width, height) = (frame.width as usize, frame.height as usize);
         // Lost packets would look like motion.
-        if frame.missing_packets > 0 || frame.bytes.len() != width * height || !due(&self.color, frame.timestamp_ns) {
+        if frame.missing_packets > 0
+            || frame.bytes.len() != width * height
+            || !due(&self.color, frame.timestamp_ns, self.step_ns)
+        {
             return None;
         }
         let blocks = block_means(width, height, |i| f64::from(frame.bytes[i]));
@@ -48,7 +53,10 @@ impl Motion {
     /// The same for depth, over pixels with values in both frames.
     pub fn add_depth(&mut self, frame: &DepthFrame) -> Option<f64> {
         let (width, height) = (frame.width as usize, frame.height as usize);
-        if frame.missing_packets > 0 || frame.depth.len() != width * height || !due(&self.depth, frame.timestamp_ns) {
+        if frame.missing_packets > 0
+            || frame.depth.len() != width * height
+            || !due(&self.depth, frame.timestamp_ns, self.step_ns)
+        {
             return None;
         }
         let blocks = block_means(width, height, |i| f64::from(frame.depth[i]));
@@ -81,9 +89,9 @@ impl Motion {
     }
 }
 
-fn due(image: &BlockImage, at: TimestampNs) -> bool {
+fn due(image: &BlockImage, at: TimestampNs, step_ns: i64) -> bool {
     // The clock of a new session may be behind.
-    image.at.is_none_or(|t| at < t || at - t >= COMPARISON_STEP_NS)
+    image.at.is_none_or(|t| at < t || at - t >= step_ns)
 }
 
 fn block_means(width: usize, height: usize, value: impl Fn(usize) -> f64) -> Vec<f64> {
@@ -147,7 +155,7 @@ mod tests {
 
     #[test]
     fn noise_and_flicker_are_still_and_a_slow_wave_moves() {
-        let mut motion = Motion::new(0.02);
+        let mut motion = Motion::new(&DaemonConfig::default());
         for frame in 0..90 {
             motion.add_color(&picture(0, if frame % 3 == 0 { 1.0 } else { 0.9 }, frame));
         }
@@ -166,7 +174,7 @@ mod tests {
         };
         let folder = std::path::Path::new(&shared).join("data/tum_fr1_xyz_400");
         let reader = recordings::import::tum::TumReader::open(&folder).unwrap();
-        let mut motion = Motion::new(0.02);
+        let mut motion = Motion::new(&DaemonConfig::default());
         let (mut compared, mut moving) = (0, 0);
         for event in (0..400).map_while(|i| reader.event(i).unwrap()) {
             let change = match event {

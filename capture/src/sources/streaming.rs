@@ -95,7 +95,7 @@ impl Streaming {
             frames: live.acceleration().map(Event::Accelerometer).into_iter().collect(),
             live,
             sensor,
-            motion: Motion::new(conditions.config.motion),
+            motion: Motion::new(&conditions.config),
             first: None,
             newest: TimestampNs::MIN,
             conditions,

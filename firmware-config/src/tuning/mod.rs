@@ -6,10 +6,13 @@
 mod association;
 mod distance_check;
 mod exposure;
+mod gravity;
 mod mesh;
 mod pose;
 mod response;
 mod segmentation;
+mod session;
+mod supervision;
 mod tracking;
 
 use crate::settings::tuning;
@@ -17,10 +20,13 @@ use crate::settings::tuning;
 pub use association::AssociationTuning;
 pub use distance_check::DistanceCheckTuning;
 pub use exposure::ExposureTuning;
+pub use gravity::GravityTuning;
 pub use mesh::MeshTuning;
 pub use pose::PoseTuning;
 pub use response::ResponseTuning;
 pub use segmentation::SegmentationTuning;
+pub use session::SessionTuning;
+pub use supervision::SupervisionTuning;
 pub use tracking::TrackingTuning;
 
 tuning! {
@@ -48,5 +54,29 @@ tuning! {
     FusionTuning {
         /// Frame-to-model tracking and relocalisation.
         tracking: TrackingTuning;
+    }
+}
+
+tuning! {
+    /// Thresholds of sources and pairing.
+    CaptureTuning {
+        /// Accelerometer.
+        gravity: GravityTuning;
+    }
+}
+
+tuning! {
+    /// Thresholds of the daemon.
+    DaemonTuning {
+        /// Reports.
+        supervision: SupervisionTuning;
+    }
+}
+
+tuning! {
+    /// Thresholds of the Kinect driver.
+    KinectTuning {
+        /// Streaming.
+        session: SessionTuning;
     }
 }
