@@ -10,6 +10,7 @@ mod kinect;
 mod memory;
 mod orders;
 mod pipeline;
+mod publish;
 mod report;
 mod simulator;
 mod sources;

@@ -9,14 +9,14 @@ use crate::failure::Failure;
 use crate::kinect::transport::{Found, UsbError};
 use crate::memory;
 use crate::sources::sensor;
-use estimator::rays::RayScene;
+use estimator::Options;
+use estimator::budget::cost_model::Size;
+use estimator::budget::{Plan, WallClock, at_quality};
 use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
 use firmware_config::{Config, memory_plan};
-use glam::Vec3;
-use recordings::types::Mesh;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::Duration;
 
 /// Verdict of one test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -50,13 +50,15 @@ fn finding(what: &'static str, verdict: Verdict, detail: impl Into<String>, reme
 const USBFS_MB: u64 = (2 * TRANSFERS * PACKETS_PER_TRANSFER * MAX_ISO_PACKET) as u64 / 1_000_000 + 1;
 /// Typical upper bound of a published scan in bytes.
 const SCAN_BYTES: u64 = 150_000_000;
-/// Rays of the speed test.
-const RAYS: u32 = 400_000;
-/// Vertices and rays a vertex of a usual scan: what the time is estimated for.
-const USUAL_VERTICES: f64 = 60_000.0;
-const USUAL_RAYS: f64 = 250.0;
-/// Seconds of the estimator's other stages at 60 000 vertices, per million rays a second of this machine.
-const OTHER_STAGES: f64 = 60.0;
+/// A typical scan, for the estimate of the estimator's time.
+const TYPICAL_SCAN: Size = Size {
+    scanned: 60_000.0,
+    remeshed: true,
+    vertices: 60_000.0,
+    keyframes: 60.0,
+    pixels: 640.0 * 480.0,
+    witnesses: 5.0,
+};
 
 /// Runs the command.
 pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
@@ -72,7 +74,7 @@ pub fn run(args: &cli::Check, as_json: bool) -> Result<(), Failure> {
     findings.push(usbfs_memory(Path::new("/sys/module/usbcore/parameters/usbfs_memory_mb")));
     findings.extend(disk_findings(&args.device, &config));
     findings.push(memory_finding(&config));
-    findings.push(speed());
+    findings.push(speed(&config));
 
     if as_json {
         print_json(&findings)?;
@@ -257,42 +259,20 @@ fn memory_finding(config: &Config) -> Finding {
     finding("memory", verdict, shown, "lower fusion.pool_blocks and daemon.estimator_limit_mb")
 }
 
-/// How fast rays are traced, and what that means for a usual scan.
-fn speed() -> Finding {
-    let mesh = bumpy_plane(140);
-    let scene = RayScene::new(&mesh);
-    let began = Instant::now();
-    let mut hits = 0u32;
-    for i in 0..RAYS {
-        // Directions over the half sphere below, by a golden-ratio sequence.
-        let turn = i as f32 * 0.618_034;
-        let (x, y) = (turn.fract() - 0.5, (turn * 0.618_034).fract() - 0.5);
-        let direction = Vec3::new(x, y, -0.6).normalize();
-        hits += u32::from(scene.closest_hit(Vec3::new(-x, y, 0.5), direction).is_some());
-    }
-    let rate = f64::from(RAYS) / began.elapsed().as_secs_f64().max(1e-6);
-    let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get) as f64;
-    let all = rate * threads;
-    let seconds = USUAL_VERTICES * USUAL_RAYS / all + OTHER_STAGES * 1e6 / all.max(1.0);
-    let verdict = if seconds < 120.0 { Verdict::Ok } else { Verdict::Warning };
+/// Whether the estimator's own plan for a typical scan fits the daemon's budget on this machine.
+fn speed(config: &Config) -> Finding {
+    let clock = WallClock::start();
+    let options = Options { budget: Duration::from_secs_f64(config.daemon.budget_s), rounds: None };
+    let plan = Plan::new(&clock, &options, &at_quality(&config.estimator), TYPICAL_SCAN);
+    let verdict = if plan.cuts().is_empty() { Verdict::Ok } else { Verdict::Warning };
     let detail = format!(
-        "{:.2} million rays a second and thread ({hits} of {RAYS} hit), {threads} threads: about {seconds:.0} s for light and materials of 60 000 vertices",
-        rate / 1e6
+        "light and materials of {:.0} vertices and {:.0} keyframes need about {:.0} s, daemon.budget_s allows {:.0}",
+        TYPICAL_SCAN.vertices,
+        TYPICAL_SCAN.keyframes,
+        plan.needed_seconds(),
+        config.daemon.budget_s
     );
-    finding("tracing", verdict, detail, "the estimator keeps to daemon.budget_s by tracing less: it says what it cut")
-}
-
-/// A square of 1 m with waves, `2 n²` triangles.
-fn bumpy_plane(n: u32) -> Mesh {
-    let at = |i: u32| i as f32 / n as f32 - 0.5;
-    let height = |x: f32, y: f32| 0.05 * libm::sinf(20.0 * x) * libm::sinf(23.0 * y);
-    let positions =
-        (0..(n + 1) * (n + 1)).map(|k| (at(k % (n + 1)), at(k / (n + 1)))).map(|(x, y)| Vec3::new(x, y, height(x, y)));
-    let triangles = (0..n * n).flat_map(|k| {
-        let a = k / n * (n + 1) + k % n;
-        [[a, a + 1, a + n + 1], [a + 1, a + n + 2, a + n + 1]]
-    });
-    Mesh { positions: positions.collect(), normals: Vec::new(), triangles: triangles.collect() }
+    finding("speed", verdict, detail, "the estimator keeps to the budget by doing less, and records what it cut")
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 use crate::cli::{Capture, Effort};
 use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::CaptureEntry;
-use crate::device_folder::publish::{self, Published};
 use crate::device_folder::retention;
 use crate::device_folder::staging::Staging;
 use crate::device_folder::trajectory;
@@ -15,6 +14,7 @@ use crate::kinect::transport::{Bus, UsbError};
 use crate::memory;
 use crate::orders::Orders;
 use crate::pipeline::{self, Job};
+use crate::publish::{self, Published};
 use crate::report::Reporter;
 use crate::sources::motion::Motion;
 use crate::sources::pairs::Pairs;

@@ -1,4 +1,5 @@
-//! `manifest.json`: what is in a published scan, and what it cost to make it. The only file with clock readings.
+//! `manifest.json`: the files of a published scan, how it was made, and the time that took. No other file of a scan holds clock
+//! readings.
 
 use crate::failure::Failure;
 use recordings::crc32_of_file;
@@ -57,12 +58,27 @@ pub struct CaptureEntry {
     pub memory_peak_bytes: Option<u64>,
 }
 
+/// How the estimator ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum EstimatorOutcome {
+    /// With a complete result.
+    Done,
+    /// It was not run.
+    #[default]
+    Skipped,
+    /// With a result, and an error.
+    Partial,
+    /// Without a result.
+    Failed,
+}
+
 /// What the estimator did.
 #[derive(Debug, Default, Serialize)]
 pub struct EstimatorEntry {
-    /// "done", "skipped", "partial" or "failed".
-    pub outcome: &'static str,
-    /// What went wrong.
+    /// How it ended.
+    pub outcome: EstimatorOutcome,
+    /// Its error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
     /// Vertices of the result's mesh.
@@ -103,10 +119,10 @@ impl Manifest {
         Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
     }
 
-    /// As text.
+    /// As JSON.
     ///
     /// # Errors
-    /// Never in practice.
+    /// The manifest cannot be serialised, which does not happen.
     pub fn to_json(&self) -> Result<String, Failure> {
         serde_json::to_string_pretty(self).map(|t| t + "\n").map_err(|e| Failure::Internal(e.to_string()))
     }

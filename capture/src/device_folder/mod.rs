@@ -5,8 +5,7 @@
 pub mod disk;
 pub mod files;
 pub mod manifest;
-mod naming;
-pub mod publish;
+pub mod naming;
 pub mod retention;
 pub mod staging;
 pub mod trajectory;

@@ -239,6 +239,12 @@ impl<'a> Plan<'a> {
         self.planned.iter().chain(&self.cut).cloned().collect()
     }
 
+    /// Seconds that everything the settings ask for would take on this machine, budget or not.
+    #[must_use]
+    pub fn needed_seconds(&self) -> f64 {
+        self.full.all(&self.size) / self.speed()
+    }
+
     /// Notes something that was left out for want of time.
     pub fn leave_out(&mut self, what: Cut) {
         self.cut.push(what);

@@ -1,8 +1,8 @@
-//! From a captured scan to a published one: light and materials, preview, manifest.
+//! From a captured scan to a published one: runs the estimator, writes the manifest, makes the folder visible.
 
 use crate::cli::Effort;
 use crate::device_folder::files::write_file;
-use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, Manifest};
+use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, EstimatorOutcome, Manifest};
 use crate::device_folder::naming::utc;
 use crate::device_folder::staging::Staging;
 use crate::estimator_process::{self, Outcome};
@@ -20,9 +20,9 @@ use std::time::{Duration, Instant, SystemTime};
 pub struct Published {
     /// Its folder.
     pub folder: PathBuf,
-    /// What is in it.
+    /// Its manifest.
     pub manifest: Manifest,
-    /// What became of the estimator, if not all went well: the scan is published all the same.
+    /// Why the estimator failed, if it did; the scan is published anyway.
     pub failure: Option<Failure>,
 }
 
@@ -39,12 +39,12 @@ pub fn publish(
     reporter: &Reporter,
 ) -> Result<Published, Failure> {
     let (estimator, failure) = match effort {
-        None => (EstimatorEntry { outcome: "skipped", ..EstimatorEntry::default() }, None),
+        None => (EstimatorEntry::default(), None),
         Some(effort) => estimate(staging.folder(), effort, stop, reporter)?,
     };
     stop.check()?;
     let published = utc(SystemTime::now());
-    // Reading the result back counts too.
+    // The peak includes the result, which was read back.
     capture.memory_peak_bytes = memory::peak_bytes();
     let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
     write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
@@ -52,7 +52,7 @@ pub fn publish(
     Ok(Published { folder, manifest, failure })
 }
 
-/// Runs the estimator. The scan is worth publishing whatever becomes of it: the manifest says what did.
+/// Runs the estimator. Its failure goes into the manifest and does not prevent publishing.
 fn estimate(
     folder: &Path,
     effort: &Effort,
@@ -63,7 +63,7 @@ fn estimate(
         reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
     }
     let Outcome { summary, mut failure } = estimator_process::estimate(folder, effort, stop, reporter)?;
-    let mut entry = EstimatorEntry { outcome: "failed", ..EstimatorEntry::default() };
+    let mut entry = EstimatorEntry { outcome: EstimatorOutcome::Failed, ..EstimatorEntry::default() };
     if let Some(summary) = summary {
         entry.seconds = summary.stages;
         entry.seconds.push(("total".into(), summary.seconds));
@@ -73,7 +73,7 @@ fn estimate(
     if result.exists() {
         match Estimate::read(&result) {
             Ok(estimate) => {
-                entry.outcome = if failure.is_none() { "done" } else { "partial" };
+                entry.outcome = if failure.is_none() { EstimatorOutcome::Done } else { EstimatorOutcome::Partial };
                 entry.vertices = estimate.mesh.positions.len();
                 entry.findings = Findings::new(&estimate.decisions, &estimate.cuts, &estimate.warnings);
             }
