@@ -83,7 +83,7 @@ pub enum QualityPoint {
     Draft,
     /// What the scene requires.
     Standard,
-    /// Everything that still helps a little.
+    /// Everything that still improves the result measurably.
     Best,
 }
 

@@ -354,7 +354,7 @@ mod tests {
     fn ten_minutes_of_capture_with_every_drop_accounted_for_and_flat_memory() {
         const FRAMES: u64 = 18_000;
         let device = tempfile::tempdir().unwrap();
-        let plan = "pattern,fast,drop_when_slow,frames=18000,loss=0.0002,burst=0.00001,truncate=0.0001,garbage=0.0001";
+        let plan = "pattern,fast,hasty,frames=18000,loss=0.0002,burst=0.00001,truncate=0.0001,garbage=0.0001";
         let mut bus = SimBus::new(SimPlan::parse(plan).unwrap());
         let mut config = Config::default();
         (config.daemon.max_scan_s, config.daemon.min_free_mb, config.kinect.accelerometer_hz) = (3600.0, 1, 1);

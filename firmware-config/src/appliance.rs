@@ -1,7 +1,7 @@
 //! Tests that the shipped files agree with the program's own constants.
 
-use crate::kinect_models::part_of;
-use crate::{Config, kinect_models::Part};
+use crate::config::Config;
+use crate::kinect_models::{Part, part_of};
 
 const FOLDER: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/appliance");
 

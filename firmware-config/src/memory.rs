@@ -1,6 +1,6 @@
 //! The memory plan: what the capture process can come to hold, computed before it starts.
 
-use crate::Config;
+use crate::config::Config;
 use crate::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_11};
 
 /// One part of the plan.

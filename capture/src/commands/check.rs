@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn permissions_and_defaults_are_told_with_a_remedy() {
+    fn permissions_and_defaults_are_reported_with_a_remedy() {
         assert_eq!(sensor_found(&Ok(Vec::new())).verdict, Verdict::Failed);
         let unpowered = sensor_found(&Err(UsbError::NoPower));
         assert!(unpowered.verdict == Verdict::Failed && unpowered.remedy == "plug it in", "{unpowered:?}");

@@ -90,7 +90,7 @@ fn lines(value: &Value, depth: usize) -> String {
     let Value::Object(fields) = value else { return format!("{indent}{}\n", leaf(value)) };
     let width = fields.keys().map(String::len).max().unwrap_or(0);
     let mut text = String::new();
-    for (key, value) in fields.iter().filter(for_people) {
+    for (key, value) in fields.iter().filter(in_text) {
         match value {
             Value::Object(inner) if inner.len() > 3 => {
                 text += &format!("{indent}{key}\n{}", lines(value, depth + 1));
@@ -110,8 +110,8 @@ fn lines(value: &Value, depth: usize) -> String {
     text
 }
 
-/// False for figures that stand in a sentence beside them.
-fn for_people((key, _): &(&String, &Value)) -> bool {
+/// False for values that a sentence beside them repeats.
+fn in_text((key, _): &(&String, &Value)) -> bool {
     !key.ends_with("_values")
 }
 
@@ -120,7 +120,7 @@ fn leaf(value: &Value) -> String {
         Value::String(s) => s.clone(),
         Value::Number(n) if n.is_f64() => format!("{:.4}", n.as_f64().unwrap_or(f64::NAN)),
         Value::Object(fields) => {
-            let fields = fields.iter().filter(for_people).map(|(k, v)| format!("{k} {}", leaf(v)));
+            let fields = fields.iter().filter(in_text).map(|(k, v)| format!("{k} {}", leaf(v)));
             fields.collect::<Vec<_>>().join(" · ")
         }
         Value::Array(items) if items.is_empty() => "none".into(),

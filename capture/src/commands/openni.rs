@@ -1,4 +1,4 @@
-//! `lumiscan record FILE --openni ADDRESS`: what a sensor of PrimeSense's kind sends, or an `.oni` file holds.
+//! `lumiscan record FILE --openni ADDRESS`: the frames of a PrimeSense sensor or an `.oni` file to a recording.
 
 use crate::cli;
 use crate::commands::output::print;
@@ -13,16 +13,16 @@ use recordings::recording::{Event, RecordingKind, RecordingWriter};
 use serde_json::json;
 use std::path::Path;
 
-/// Bytes a second of frames, at worst: RGB and depth at 640×480.
+/// Bytes per second of frames, at most: RGB and depth at 640×480.
 const FRAME_RATE: f64 = 46.0e6;
-/// Without `--seconds` there shall be room for so many.
+/// Length that must fit on the disk where `--seconds` is not given.
 const OPEN_END_S: f64 = 60.0;
 
 /// Runs the command.
 pub fn run(address: &str, args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(), Failure> {
     load(&args.settings)?;
     if args.raw || args.simulate.is_some() {
-        return Err(Failure::Usage("--raw and --simulate are for a Kinect; leave them out with --openni".into()));
+        return Err(Failure::Usage("--raw and --simulate are for a Kinect; omit them with --openni".into()));
     }
     let mut device = Device::open(address).map_err(|e| Failure::Input(e.to_string()))?;
     if !device.is_file() {

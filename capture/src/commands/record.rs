@@ -23,9 +23,9 @@ use std::path::Path;
 const QUEUED: usize = 64;
 /// Bytes of packets in a batch: the queue then holds some seconds of them while the disk pauses.
 const BATCH_BYTES: usize = 1 << 20;
-/// Bytes a second of raw packets, file headers included.
+/// Bytes per second of raw packets, file headers included.
 const RAW_RATE: f64 = 22.5e6;
-/// Bytes a second of compressed frames, at most.
+/// Bytes per second of compressed frames, at most.
 const FRAME_RATE: f64 = 17.0e6;
 /// Length that must fit on the disk where `--seconds` is not given.
 const OPEN_END_S: f64 = 60.0;

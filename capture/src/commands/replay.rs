@@ -6,13 +6,13 @@ use crate::commands::settings::load;
 use crate::commands::settings::use_threads;
 use crate::device_folder::files::write_file;
 use crate::device_folder::staging::Staging;
-use crate::device_folder::trajectory;
 use crate::failure::Failure;
 use crate::pipeline::{self, Captured, Job};
 use crate::publish::{self, Published};
 use crate::report::Reporter;
 use crate::sources::pairs::Pairs;
 use crate::stop::Stop;
+use recordings::import::trajectory::format_trajectory;
 use std::path::Path;
 
 /// Runs the command.
@@ -27,7 +27,7 @@ pub fn run(args: &cli::Replay, json: bool, reporter: &Reporter) -> Result<(), Fa
 
     let job = Job { name: &name, source: &args.source, scan: &scan_path, config: &config, board: None };
     let captured = pipeline::run(pairs, &job, &stop, reporter)?;
-    write_file(&staging.folder().join("trajectory.txt"), trajectory::to_tum(&captured.trajectory).as_bytes())?;
+    write_file(&staging.folder().join("trajectory.txt"), format_trajectory(&captured.trajectory).as_bytes())?;
     log_summary(&captured);
 
     let effort = (!args.no_estimate).then_some(&args.effort);

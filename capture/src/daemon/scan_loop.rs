@@ -5,7 +5,6 @@ use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::CaptureEntry;
 use crate::device_folder::retention;
 use crate::device_folder::staging::Staging;
-use crate::device_folder::trajectory;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
 use crate::kinect::live::{Live, Polled};
@@ -23,6 +22,7 @@ use crate::sources::streaming::{Conditions, Streaming};
 use crate::status::{Board, State};
 use crate::stop::Stop;
 use firmware_config::Config;
+use recordings::import::trajectory::format_trajectory;
 use recordings::recording::Event;
 use recordings::scan::Scan;
 use std::cell::Cell;
@@ -198,7 +198,7 @@ impl Daemon<'_> {
         let captured = captured?;
         // From here on, everything can be repeated from the scan file.
         staging.keep();
-        let text = trajectory::to_tum(&captured.trajectory);
+        let text = format_trajectory(&captured.trajectory);
         write_file(&staging.folder().join("trajectory.txt"), text.as_bytes())?;
         self.publish(staging, name, publish::capture_entry(source, captured))
     }

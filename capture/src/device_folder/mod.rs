@@ -1,5 +1,5 @@
 //! The device folder. In: a captured scan. Out: `<device>/scans/<utc>-<name>/`, which appears complete or not at all
-//! ([`staging`]), described by [`manifest`] and [`trajectory`]. [`retention`] numbers scans and removes the oldest ones;
+//! ([`staging`]), described by its [`manifest`]. [`retention`] numbers scans and removes the oldest ones;
 //! [`disk`] measures room and speed; [`files`] writes atomically.
 
 pub mod disk;
@@ -8,4 +8,3 @@ pub mod manifest;
 pub mod naming;
 pub mod retention;
 pub mod staging;
-pub mod trajectory;

@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_go_first_and_the_one_in_progress_never() {
+    fn the_oldest_are_removed_first_and_the_one_in_progress_never() {
         let device = tempfile::tempdir().unwrap();
         for name in [
             "20990101T000000Z-scan-0002",
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disk_is_said_when_nothing_is_left_to_remove() {
+    fn a_full_disk_is_an_error_when_nothing_is_left_to_remove() {
         let device = tempfile::tempdir().unwrap();
         scan(device.path(), "20000101T000000Z-scan-0001", 10);
         let config = DaemonConfig { min_free_mb: 1_000_000, ..DaemonConfig::default() };
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn partial_scans_are_kept_aside_but_not_for_ever() {
+    fn only_the_newest_partial_scans_are_kept() {
         let device = tempfile::tempdir().unwrap();
         for i in 1..=5 {
             let name = format!("{UNFINISHED}20000101T00000{i}Z-scan-000{i}");

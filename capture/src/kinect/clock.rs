@@ -84,7 +84,7 @@ mod tests {
         }
 
         #[test]
-        fn any_input_is_survived(stamps in proptest::collection::vec((any::<u32>(), any::<i64>()), 0..50)) {
+        fn any_input_is_accepted(stamps in proptest::collection::vec((any::<u32>(), any::<i64>()), 0..50)) {
             let mut clock = DeviceClock::default();
             for (ticks, host) in stamps {
                 clock.unwrap(ticks, host);

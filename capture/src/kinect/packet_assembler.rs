@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_that_change_places_cost_nothing() {
+    fn swapped_neighbours_cost_nothing() {
         let mut packets = stream(&BAYER_VGA, 3, 0);
         for i in [20, 200, 300] {
             packets.swap(i, i + 1);

@@ -211,7 +211,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn plans_are_read_and_mistakes_named() {
+    fn plans_are_parsed_and_errors_named() {
         let plan = SimPlan::parse("pattern,fast,seed=7,loss=0.01,unplug_at_frame=30,model=1517").unwrap();
         assert_eq!(
             (plan.fast, plan.seed, plan.loss, plan.unplug_at_frame, plan.model),

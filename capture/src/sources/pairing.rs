@@ -160,7 +160,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Mutual nearest neighbours by looking at everything; at equal distance the older is the nearer.
+    /// Mutual nearest neighbours by exhaustive search; at equal distance, the older counts as nearer.
     fn brute_force(color: &[i64], depth: &[i64], max_gap: i64) -> Vec<(i64, i64)> {
         let nearest = |x: i64, among: &[i64]| among.iter().copied().min_by_key(|&y| ((y - x).abs(), y));
         let pairs = color.iter().filter_map(|&c| nearest(c, depth).map(|d| (c, d)));

@@ -1,4 +1,4 @@
-//! Whole sessions with a simulated Kinect, and what may happen to them.
+//! Whole sessions with a simulated Kinect and its faults.
 
 use super::*;
 use crate::kinect::transport::Bus;
@@ -25,13 +25,26 @@ struct Session {
     ended: Option<Result<Polled, KinectError>>,
 }
 
-/// Streams until the simulated device has nothing more to say, or is gone.
+/// Opens the Kinect on the bus and starts its streams.
+fn start(bus: &mut SimBus, config: &KinectConfig) -> Result<Live, KinectError> {
+    Live::start(Kinect::open(bus, "", config)?, config)
+}
+
+/// Polls until the session fails.
+fn failure_of(mut live: Live) -> (KinectError, LiveStats) {
+    loop {
+        if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
+            return (e, live.stats());
+        }
+    }
+}
+
+/// Streams until the simulated device has sent everything, or is gone.
 fn session(bus: &mut SimBus, config: &KinectConfig) -> Result<Session, KinectError> {
-    let kinect = Kinect::open(bus, "", config)?;
-    let mut live = Live::start(kinect, config)?;
+    let mut live = start(bus, config)?;
     let mut s = Session { packets: live.kinect().traffic().to_vec(), ..Session::default() };
     loop {
-        // Asked before the ring is emptied.
+        // Read before the ring is emptied.
         let over = bus.log().over;
         let polled = live.poll(
             &mut |p, data| {
@@ -93,20 +106,18 @@ fn the_exposure_is_read_twice_a_second_at_most() {
     assert_eq!(s.depth.len(), 90);
     // One that never answers costs a tenth of a second, twice a second, and no frame.
     let mut bus = SimBus::new(SimPlan { not_ready: 200, ..plan() });
-    let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
-    let mut live = Live::start(kinect, &KinectConfig { read_exposure: true, ..config() }).unwrap();
+    let mut live = start(&mut bus, &KinectConfig { read_exposure: true, ..config() }).unwrap();
     while !bus.log().over {
         live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
     }
     assert!(bus.log().exposures <= 8 && live.exposure_us().is_none());
 }
 
-/// Accelerometer and frames stand on one clock, and where up is stands before the first frame.
+/// Accelerometer and frames share one clock, and a reading precedes the first frame.
 #[test]
-fn the_accelerometer_tells_the_devices_time() {
+fn accelerometer_readings_have_device_time() {
     let mut bus = SimBus::new(SimPlan { frames: 60, ..fast() });
-    let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
-    let mut live = Live::start(kinect, &config()).unwrap();
+    let mut live = start(&mut bus, &config()).unwrap();
     let mut events = Vec::new();
     while !bus.log().over {
         live.poll(&mut |_, _| {}, &mut |event| events.push(event)).unwrap();
@@ -121,13 +132,7 @@ fn the_accelerometer_tells_the_devices_time() {
 #[test]
 fn garbage_without_end_is_silence() {
     let mut bus = SimBus::new(SimPlan { garbage: 1.0, frames: 0, ..fast() });
-    let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
-    let mut live = Live::start(kinect, &config()).unwrap();
-    let error = loop {
-        if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
-            break e;
-        }
-    };
+    let (error, _) = failure_of(start(&mut bus, &config()).unwrap());
     assert_eq!(error, UsbError::Timeout.into());
 }
 
@@ -151,7 +156,7 @@ fn losses_are_counted_to_the_packet() {
         let log = bus.log();
         for (sent, got) in [(log.depth, s.stats.streams.depth), (log.color, s.stats.streams.color)] {
             assert_eq!(got.packets + sent.lost, sent.packets - got.skipped, "loss {loss}");
-            // What is lost at either end of the session, before the first frame and after the last packet, is nobody's.
+            // Packets lost before the first frame or after the last packet are not counted.
             assert!(sent.lost - got.missing <= got.skipped + 60, "loss {loss}: {sent:?} {got:?}");
             assert!(got.frames + got.lost_frames + 2 >= sent.frames, "loss {loss}: {got:?}");
             assert_eq!(got.resyncs, 0);
@@ -165,7 +170,7 @@ fn losses_are_counted_to_the_packet() {
 }
 
 #[test]
-fn what_goes_wrong_on_the_way_is_survived() {
+fn all_faults_together_cost_only_the_affected_frames() {
     let plan = SimPlan {
         loss: 0.005,
         burst: 0.0005,
@@ -203,7 +208,7 @@ fn not_ready_and_stale_replies_are_waited_out() {
 }
 
 #[test]
-fn devices_that_make_no_sense_are_given_up_in_time() {
+fn devices_that_violate_the_protocol_fail_in_time() {
     for plan in [
         SimPlan { dead: true, ..fast() },
         SimPlan { never_ready: true, ..fast() },
@@ -248,8 +253,7 @@ fn unplugged_in_every_phase() {
 #[test]
 fn one_stream_alone_is_named() {
     let mut bus = SimBus::new(SimPlan { no_color: true, frames: 200, ..fast() });
-    let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
-    let mut live = Live::start(kinect, &config()).unwrap();
+    let mut live = start(&mut bus, &config()).unwrap();
     let mut named = None;
     while !bus.log().over {
         live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
@@ -261,15 +265,9 @@ fn one_stream_alone_is_named() {
 #[test]
 fn silence_starts_the_streams_anew_and_then_gives_up() {
     let mut bus = SimBus::new(fast());
-    let kinect = Kinect::open(&mut bus, "", &config()).unwrap();
-    let mut live = Live::start(kinect, &config()).unwrap();
-    let error = loop {
-        if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
-            break e;
-        }
-    };
+    let (error, stats) = failure_of(start(&mut bus, &config()).unwrap());
     assert_eq!(error, UsbError::Timeout.into());
-    assert!(live.stats().restarts >= config().tuning.session.max_restarts);
+    assert!(stats.restarts >= config().tuning.session.max_restarts);
 }
 
 #[test]
