@@ -8,13 +8,21 @@ check:
     cargo fmt --all --check
     cargo clippy --workspace --all-targets --locked -- -D warnings
 
-# Every test; those on shared recordings need LUMISCAN_SHARED.
+# Every test; those that need LUMISCAN_SHARED are ignored where it is not set.
 test *ARGS:
     cargo test --workspace --locked {{ARGS}}
+
+# The documentation of every crate; warnings are errors.
+doc:
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
 
 # Every benchmark.
 bench *ARGS:
     cargo bench --workspace --locked {{ARGS}}
+
+# Writes the tables of the documents, or those named, by running what measures them.
+figures *NAMES:
+    python3 .readme/figures.py {{NAMES}}
 
 # The main job on a recording.
 replay SOURCE="recordings/data/tabletop.lrec" *ARGS:

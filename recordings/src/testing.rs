@@ -13,19 +13,9 @@ use crate::types::{
     Response, Sensor, UsbPacket,
 };
 use glam::{DQuat, DVec3, Vec3};
-use std::path::PathBuf;
 
 /// A 32x24 JPEG: (8x, 10y, 128 + 40 sin(x/3)), quality 90.
 pub(crate) const GRADIENT_JPEG: &[u8] = include_bytes!("../data/samples/gradient.jpg");
-
-/// The folder of test data that is not part of the repository.
-pub(crate) fn shared() -> Option<PathBuf> {
-    let dir = std::env::var_os("LUMISCAN_SHARED").map(PathBuf::from);
-    if dir.is_none() {
-        println!("skipped: LUMISCAN_SHARED is not set (the folder with the test data)");
-    }
-    dir
-}
 
 pub(crate) fn color_frame(ns: i64, width: u32, height: u32, encoding: ColorEncoding, bytes: Vec<u8>) -> ColorFrame {
     ColorFrame { timestamp_ns: ns, width, height, encoding, bytes, missing_packets: 0 }

@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{arg, ok, text, tum_folder};
+use common::{arg, ok, scanned_table, text};
 use recordings::result::Estimate;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 
 /// A published scan and its exports.
 struct Exported {
-    dir: tempfile::TempDir,
+    dir: PathBuf,
     scan: PathBuf,
     estimate: Estimate,
 }
@@ -23,12 +23,7 @@ static EXPORTED: OnceLock<Exported> = OnceLock::new();
 
 fn exported() -> &'static Exported {
     EXPORTED.get_or_init(|| {
-        let dir = tempfile::tempdir().unwrap();
-        let (source, device) = (dir.path().join("table"), dir.path().join("device"));
-        tum_folder(&source, 24);
-        let settings = ["--set", "fusion.voxel_size_m=0.01", "--rounds", "2"];
-        let folder = ok(&[&["replay", &arg(&source), "--device", &arg(&device)][..], &settings].concat());
-        let scan = PathBuf::from(folder.trim());
+        let (dir, scan) = scanned_table("foreign");
         let result = arg(scan.join("result.lres"));
         for (form, name) in [
             ("glb", "result.glb"),
@@ -38,7 +33,7 @@ fn exported() -> &'static Exported {
             ("colmap", "colmap"),
             ("nerf", "nerf"),
         ] {
-            ok(&["export", &result, "--to", form, "-o", &arg(dir.path().join(name))]);
+            ok(&["export", &result, "--to", form, "-o", &arg(dir.join(name))]);
         }
         let estimate = Estimate::read(&scan.join("result.lres")).unwrap();
         Exported { dir, scan, estimate }
@@ -81,7 +76,7 @@ fn accepted(output: &Output) -> serde_json::Value {
 #[test]
 fn khronos_validator() {
     let Some(mut node) = node("gltf-validator") else { return };
-    let glb = exported().dir.path().join("result.glb");
+    let glb = exported().dir.join("result.glb");
     accepted(&node.arg(script("gltf.cjs")).arg(glb).output().unwrap());
 }
 
@@ -89,7 +84,7 @@ fn khronos_validator() {
 fn three_js() {
     let Some(mut node) = node("three") else { return };
     let e = exported();
-    let found = accepted(&node.arg(script("three.cjs")).arg(e.dir.path()).output().unwrap());
+    let found = accepted(&node.arg(script("three.cjs")).arg(&e.dir).output().unwrap());
     assert_eq!(found["vertices"][0], e.estimate.mesh.positions.len());
     assert_eq!(found["triangles"], e.estimate.mesh.triangles.len());
     assert_eq!(found["cameras"], e.estimate.keyframes.len());
@@ -103,7 +98,7 @@ fn three_js() {
 fn read_by(module: &str) {
     let Some(mut python) = python(module) else { return };
     let e = exported();
-    let found = accepted(&python.arg(script("read.py")).arg(module).arg(e.dir.path()).output().unwrap());
+    let found = accepted(&python.arg(script("read.py")).arg(module).arg(&e.dir).output().unwrap());
     let mesh = &e.estimate.mesh;
     assert_eq!(
         (found["ply_vertices"].as_u64(), found["ply_triangles"].as_u64()),
@@ -138,8 +133,7 @@ fn blender() {
     }
     let e = exported();
     let run = ["-b", "--factory-startup", "--python-exit-code", "1", "--python"];
-    let output =
-        Command::new("blender").args(run).arg(script("blender.py")).arg("--").arg(e.dir.path()).output().unwrap();
+    let output = Command::new("blender").args(run).arg(script("blender.py")).arg("--").arg(&e.dir).output().unwrap();
     let said = text(&output.stdout);
     let found =
         said.lines().find_map(|l| l.strip_prefix("found ")).unwrap_or_else(|| panic!("{said}{}", text(&output.stderr)));
@@ -154,7 +148,7 @@ fn blender() {
 fn colmap() {
     let Some(mut python) = python("pycolmap") else { return };
     let e = exported();
-    let found = accepted(&python.arg(script("read.py")).arg("pycolmap").arg(e.dir.path()).output().unwrap());
+    let found = accepted(&python.arg(script("read.py")).arg("pycolmap").arg(&e.dir).output().unwrap());
     assert_eq!(found["images"], e.estimate.keyframes.len());
     let eyes = e.estimate.keyframes.iter().map(|k| k.world_from_camera.translation);
     let center: Vec<f64> = serde_json::from_value(found["center"].clone()).unwrap();
@@ -169,10 +163,10 @@ fn openexr_tools() {
         eprintln!("skipped: OpenEXR's tools (exrmakepreview) are not on the PATH");
         return;
     }
-    let out = e.dir.path().join("preview.exr");
-    let picture = e.dir.path().join("picture.exr");
+    let out = e.dir.join("preview.exr");
+    let picture = e.dir.join("picture.exr");
     ok(&["render", &arg(e.scan.join("result.lres")), "--size", "40x30", "-o", &arg(&picture)]);
-    for file in [e.dir.path().join("light.exr"), picture] {
+    for file in [e.dir.join("light.exr"), picture] {
         accepted(&Command::new("exrmakepreview").arg(&file).arg(&out).output().unwrap());
     }
 }
@@ -187,7 +181,7 @@ fn browser() {
     }
     let e = exported();
     let page = e.scan.join("viewer.html");
-    let rendering = e.dir.path().join("rendering.png");
+    let rendering = e.dir.join("rendering.png");
     ok(&[
         "render",
         &arg(e.scan.join("result.lres")),
@@ -198,10 +192,10 @@ fn browser() {
         "-o",
         &arg(&rendering),
     ]);
-    let panorama = e.dir.path().join("panorama.png");
+    let panorama = e.dir.join("panorama.png");
     let pixels: Vec<u8> = (0..64 * 32).flat_map(|i| if i % 64 < 20 { [255, 240, 200] } else { [30, 40, 60] }).collect();
     estimator::export::picture::write_png(&panorama, 64, 32, &pixels).unwrap();
-    let object = e.dir.path().join("result.glb");
+    let object = e.dir.join("result.glb");
     let output = node.arg(script("viewer.cjs")).args([&page, &rendering, &panorama, &object]).output().unwrap();
     let told = accepted(&output);
     eprintln!("{told}");

@@ -4,8 +4,9 @@
 
 mod common;
 
-use common::{arg, fails, json, lumiscan, ok, run, shared, text};
+use common::{arg, fails, json, lumiscan, ok, run, text};
 use std::path::Path;
+use tests::shared;
 
 /// Recordings of frames and of packets say the same.
 fn recorded(dir: &Path, name: &str, plan: &str, more: &[&str]) -> serde_json::Value {
@@ -76,8 +77,9 @@ fn a_disk_without_room_is_refused_at_once() {
 
 /// The same device, recorded as packets and as frames, gives the same scan, byte for byte.
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: data/tum_fr1_xyz_400")]
 fn packets_replay_bit_for_bit() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let dir = tempfile::tempdir().unwrap();
     let source = dir.path().join("desk.lrec");
     ok(&["import", "tum", &arg(shared.join("data/tum_fr1_xyz_400")), "-o", &arg(&source)]);

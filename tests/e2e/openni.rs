@@ -4,11 +4,13 @@
 
 mod common;
 
-use common::{arg, fails, json, run, shared, text};
+use common::{arg, fails, json, run, text};
+use tests::shared;
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: kinect/depth30.oni")]
 fn an_oni_file_plays() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let (file, dir) = (arg(shared.join("kinect/depth30.oni")), tempfile::tempdir().unwrap());
     let path = arg(dir.path().join("a.lrec"));
     assert_eq!(json(&["--json", "record", &path, "--openni", &file])["depth_frames"], 30);

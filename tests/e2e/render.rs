@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{SIZE, arg, fails, ok, run, text, tum_folder};
+use common::{SIZE, arg, fails, ok, run, scanned_table, text};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::fmt::Write as _;
@@ -32,7 +32,7 @@ const QUICK: [&str; 14] = [
 
 /// A scan of a table with two balls, and things to put on it.
 struct Scanned {
-    dir: tempfile::TempDir,
+    dir: PathBuf,
     estimate: Estimate,
     scan: Scan,
 }
@@ -41,24 +41,20 @@ static SCANNED: OnceLock<Scanned> = OnceLock::new();
 
 fn scanned() -> &'static Scanned {
     SCANNED.get_or_init(|| {
-        let dir = tempfile::tempdir().unwrap();
-        let (source, device) = (dir.path().join("table"), dir.path().join("device"));
-        tum_folder(&source, 24);
-        let settings = ["--set", "fusion.voxel_size_m=0.01", "--rounds", "2"];
-        let folder = ok(&[&["replay", &arg(&source), "--device", &arg(&device)][..], &settings].concat());
+        let (dir, folder) = scanned_table("render");
         for file in ["scan.lscan", "result.lres"] {
-            std::fs::copy(Path::new(folder.trim()).join(file), dir.path().join(file)).unwrap();
+            std::fs::copy(folder.join(file), dir.join(file)).unwrap();
         }
-        let estimate = Estimate::read(&dir.path().join("result.lres")).unwrap();
-        let scan = Scan::read(&dir.path().join("scan.lscan")).unwrap();
-        std::fs::write(dir.path().join("box.ply"), box_ply(0.04)).unwrap();
+        let estimate = Estimate::read(&dir.join("result.lres")).unwrap();
+        let scan = Scan::read(&dir.join("scan.lscan")).unwrap();
+        std::fs::write(dir.join("box.ply"), box_ply(0.04)).unwrap();
         Scanned { dir, estimate, scan }
     })
 }
 
 impl Scanned {
     fn path(&self, name: &str) -> String {
-        arg(self.dir.path().join(name))
+        arg(self.dir.join(name))
     }
 
     /// Renders with `options` into `name` and returns the output's path.
@@ -70,7 +66,7 @@ impl Scanned {
 
     /// A rendering that has to fail with `code`, and leaves nothing behind.
     fn refuses(&self, code: i32, options: &[&str]) -> String {
-        let folder = self.dir.path().join("refused");
+        let folder = self.dir.join("refused");
         let _ = std::fs::create_dir(&folder);
         let out = arg(folder.join("out.png"));
         let message = fails(code, &[&["render", &self.path("result.lres"), "-o", &out], &QUICK[..], options].concat());
@@ -176,11 +172,11 @@ fn every_kind_of_view_and_output() {
     let opengl = rows.map(|r| [r[0], -r[1], -r[2], r[3]]);
     let json = serde_json::json!({ "w": i.width, "h": i.height, "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx, "cy": i.cy,
         "frames": [{ "transform_matrix": [opengl[0], opengl[1], opengl[2], [0.0, 0.0, 0.0, 1.0]] }] });
-    std::fs::write(s.dir.path().join("view.json"), json.to_string()).unwrap();
+    std::fs::write(s.dir.join("view.json"), json.to_string()).unwrap();
     let from_file = png(&s.render("file.png", &["--view", &s.path("view.json")])).1;
     let gain = k.gain[1].to_string();
     let keyframe = png(&s.render("same.png", &["--view", &s.path("view.json"), "--exposure", &gain])).1;
-    let there = png(&s.dir.path().join("keyframe.png")).1;
+    let there = png(&s.dir.join("keyframe.png")).1;
     let green = |p: &[u8]| p.iter().skip(1).step_by(3).map(|v| f64::from(*v)).sum::<f64>();
     assert!((green(&keyframe) / green(&there) - 1.0).abs() < 0.01, "{} {}", green(&keyframe), green(&there));
     let brighter = png(&s.render("bright.png", &["--view", &s.path("view.json"), "--exposure", "2"])).1;
@@ -282,7 +278,7 @@ fn things_of_other_forms_and_other_scans_are_inserted() {
 #[test]
 fn every_kind_of_light() {
     let s = scanned();
-    let lights = s.dir.path().join("lights");
+    let lights = s.dir.join("lights");
     std::fs::create_dir(&lights).unwrap();
     panorama(&lights.join("0.png"), 64, 32);
     panorama(&lights.join("1.png"), 32, 16);
@@ -351,7 +347,7 @@ fn the_same_command_gives_the_same_bytes() {
 fn objects_that_cannot_be_used_are_3() {
     let s = scanned();
     let write = |name: &str, bytes: &[u8]| {
-        std::fs::write(s.dir.path().join(name), bytes).unwrap();
+        std::fs::write(s.dir.join(name), bytes).unwrap();
         s.path(name)
     };
     let glb = s.path("whole.glb");
@@ -383,7 +379,7 @@ fn odd_places_are_said_and_still_rendered() {
         let insert = format!("{}@{place}", s.path("box.ply"));
         let out =
             run(&[&["render", &s.path("result.lres"), "-o", &s.path(name), "--insert", &insert], &QUICK[..]].concat());
-        assert!(out.status.success() && s.dir.path().join(name).exists(), "{}", text(&out.stderr));
+        assert!(out.status.success() && s.dir.join(name).exists(), "{}", text(&out.stderr));
         text(&out.stderr)
     };
     assert!(say("far.png", "50,0,0").contains("outside the scan"));
@@ -408,27 +404,27 @@ fn requests_that_make_no_sense_are_2() {
     assert!(s.refuses(2, &["--exposure", "0"]).contains("more than 0"));
     let away = serde_json::json!({ "camera_angle_x": 0.5, "frames": [{ "transform_matrix":
         [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 900.0], [0.0, 0.0, 0.0, 1.0]] }] });
-    std::fs::write(s.dir.path().join("away.json"), away.to_string().replace("900.0", "-900.0")).unwrap();
+    std::fs::write(s.dir.join("away.json"), away.to_string().replace("900.0", "-900.0")).unwrap();
     assert!(s.refuses(2, &["--view", &s.path("away.json")]).contains("looks away"));
-    let alone = s.dir.path().join("alone");
+    let alone = s.dir.join("alone");
     std::fs::create_dir_all(&alone).unwrap();
-    std::fs::copy(s.dir.path().join("result.lres"), alone.join("result.lres")).unwrap();
+    std::fs::copy(s.dir.join("result.lres"), alone.join("result.lres")).unwrap();
     let out = arg(alone.join("out.png"));
     let message = fails(2, &["render", &arg(alone.join("result.lres")), "-o", &out, "--over", "photo"]);
     assert!(message.contains("--scan"), "{message}");
     assert_eq!(names(&alone), ["result.lres"]);
     // What exists is not overwritten by a folder.
-    assert!(fails(2, &["render", &s.path("result.lres"), "-o", &arg(s.dir.path()), "--view", "all"]).contains("empty"));
+    assert!(fails(2, &["render", &s.path("result.lres"), "-o", &arg(&s.dir), "--view", "all"]).contains("empty"));
 }
 
 #[test]
 fn lights_that_cannot_be_used_are_3() {
     let s = scanned();
     let write = |name: &str, bytes: &[u8]| {
-        std::fs::write(s.dir.path().join(name), bytes).unwrap();
+        std::fs::write(s.dir.join(name), bytes).unwrap();
         s.path(name)
     };
-    panorama(&s.dir.path().join("square.png"), 32, 32);
+    panorama(&s.dir.join("square.png"), 32, 32);
     let negative = hdr_like_exr(-1.0);
     let nan = hdr_like_exr(f32::NAN);
     for (light, says) in [
@@ -444,7 +440,7 @@ fn lights_that_cannot_be_used_are_3() {
         let message = s.refuses(3, &["--light", &light]);
         assert!(message.contains(says), "{light}: {message}");
     }
-    let nothing = s.dir.path().join("no-panoramas");
+    let nothing = s.dir.join("no-panoramas");
     std::fs::create_dir_all(&nothing).unwrap();
     assert!(s.refuses(3, &["--light", &arg(&nothing)]).contains("no panoramas"));
     if has_ffmpeg() {

@@ -3,6 +3,8 @@
 // Test code: whatever is wrong with a fixture is to end the test.
 #![allow(clippy::expect_used)]
 
+pub mod digests;
+pub mod evaluation;
 pub mod metrics;
 pub mod scans;
 pub mod synth;
@@ -10,13 +12,12 @@ pub mod truth;
 
 use std::path::PathBuf;
 
-/// The folder of shared test data, or `None`, with a word on the console, where `LUMISCAN_SHARED` is not set. Once it is
-/// set, a missing file is a failure.
+/// The folder of shared test data. Tests that call this carry
+/// `#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: …")]`.
+///
+/// # Panics
+/// `LUMISCAN_SHARED` is not set.
 #[must_use]
-pub fn shared() -> Option<PathBuf> {
-    let folder = std::env::var_os("LUMISCAN_SHARED").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: LUMISCAN_SHARED is not set (it names the folder of shared test data)");
-    }
-    folder
+pub fn shared() -> PathBuf {
+    std::env::var_os("LUMISCAN_SHARED").expect("LUMISCAN_SHARED names the folder of shared test data").into()
 }

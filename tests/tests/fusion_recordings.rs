@@ -112,8 +112,9 @@ fn doubled_on_purpose(mesh: &Mesh) -> f64 {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn a_desk_is_followed_covered_and_has_no_double_walls() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let (output, error, frames) = fuse(&shared.join("data/tum_fr1_xyz_400"), |all| all);
     assert!(error <= 0.015, "{error} m");
     assert!(output.trajectory.len() * 100 >= frames * 97);
@@ -125,16 +126,18 @@ fn a_desk_is_followed_covered_and_has_no_double_walls() {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn a_rendered_table_is_followed_to_millimetres() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let (output, error, frames) = fuse(&shared.join("truth_rgbd/fruits"), |all| all);
     assert!(error <= 0.003, "{error} m");
     assert_eq!(output.trajectory.len(), frames);
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn twice_the_speed_and_backwards_do_not_lose_it() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let every_second = |all: Vec<Pair>| all.into_iter().step_by(2).collect();
     for (name, limit) in [("data/tum_fr1_xyz_400", 0.02), ("truth_rgbd/bunny", 0.004)] {
         let (output, error, frames) = fuse(&shared.join(name), every_second);
@@ -189,8 +192,9 @@ fn assert_lost_and_found(told: &[Told], begin: usize, end: usize) {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn black_frames_and_a_covered_lens_lose_a_desk_and_it_is_found_again() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let (sensor, all) = pairs(&shared.join("data/tum_fr1_xyz_400"));
     let frames = all.iter().take(130).enumerate().map(|(i, pair)| {
         let mut frame = decoded(pair);
@@ -219,8 +223,9 @@ fn black_frames_and_a_covered_lens_lose_a_desk_and_it_is_found_again() {
 
 /// A cut: the camera stands far away from one frame to the next, for ten frames, and then where it was.
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn a_cut_is_noticed_and_made_good() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     for name in ["data/tum_fr1_xyz_400", "data/redkitchen_300"] {
         let dir = shared.join(name);
         let ((sensor, all), truth) = (pairs(&dir), truth(&dir));

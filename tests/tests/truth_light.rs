@@ -41,8 +41,9 @@ fn transfer_error(truth: &Truth, traced: Traced) -> [f64; 3] {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn transfer_is_that_of_the_reference() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     for name in ["ball", "bunny", "fruits"] {
         let truth = Truth::read(&shared, name);
         let scene = RayScene::new(&truth.mesh);
@@ -65,7 +66,7 @@ fn transfer_is_that_of_the_reference() {
 }
 
 fn many_rays(name: &str) {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let truth = Truth::read(&shared, name);
     let scene = RayScene::new(&truth.mesh);
     let [shade, gi, stated] = transfer_error(&truth, transfer::trace(&truth.mesh, &scene, BANDS, 4096, 1, &|_| ()));
@@ -74,6 +75,7 @@ fn many_rays(name: &str) {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn many_rays_converge_to_the_reference() {
     many_rays("ball");
 }
@@ -113,8 +115,9 @@ fn albedo_error(truth: &Truth, found: &Factorised) -> metrics::AlbedoError {
 }
 
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn light_and_albedo_from_true_colours() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     for name in ["ball", "bunny", "fruits"] {
         let truth = Truth::read(&shared, name);
         let found = solve(&truth, true, false, SolverChoice::Robust);
@@ -128,8 +131,9 @@ fn light_and_albedo_from_true_colours() {
 
 /// The paper's Fig. 8: each level of transfer explains the colours better than the one below it.
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn gi_beats_shade_beats_diffuse() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let truth = Truth::read(&shared, "fruits");
     let error = |gi, diffuse| albedo_error(&truth, &solve(&truth, gi, diffuse, SolverChoice::Robust)).p90;
     let (gi, shade, diffuse) = (error(true, false), error(false, false), error(false, true));
@@ -139,8 +143,9 @@ fn gi_beats_shade_beats_diffuse() {
 
 /// The paper's Fig. 9: one albedo for everything fails on several materials; and its own update to the letter.
 #[test]
+#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn nonsegmented_fails_on_several_materials() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let truth = Truth::read(&shared, "fruits");
     let error = |solver| {
         let found = solve(&truth, true, false, solver);

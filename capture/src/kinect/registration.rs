@@ -159,12 +159,10 @@ pub(crate) mod tests {
     }
 
     #[test]
+    #[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: kinect/registration.txt")]
     fn equals_libfreenect_value_for_value() {
-        let Some(shared) = std::env::var_os("LUMISCAN_SHARED") else {
-            println!("skipped: LUMISCAN_SHARED is not set (folder with kinect/registration.txt)");
-            return;
-        };
-        let text = std::fs::read_to_string(std::path::Path::new(&shared).join("kinect/registration.txt")).unwrap();
+        let shared = ::tests::shared();
+        let text = std::fs::read_to_string(shared.join("kinect/registration.txt")).unwrap();
         let (mm, shift, table) = (raw_to_mm(&PLANE), shift_table(&PLANE), registration_table(&real_block()));
         let mut compared = [0; 3];
         for line in text.lines().filter(|l| !l.starts_with('#')) {

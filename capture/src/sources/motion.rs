@@ -167,12 +167,10 @@ mod tests {
     }
 
     #[test]
+    #[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: data/tum_fr1_xyz_400")]
     fn a_real_camera_that_is_waved_moves_and_one_that_stands_does_not() {
-        let Some(shared) = std::env::var_os("LUMISCAN_SHARED") else {
-            println!("skipped: LUMISCAN_SHARED is not set (folder with data/)");
-            return;
-        };
-        let folder = std::path::Path::new(&shared).join("data/tum_fr1_xyz_400");
+        let shared = ::tests::shared();
+        let folder = shared.join("data/tum_fr1_xyz_400");
         let reader = recordings::import::tum::TumReader::open(&folder).unwrap();
         let mut motion = Motion::new(&DaemonConfig::default());
         let (mut compared, mut moving) = (0, 0);

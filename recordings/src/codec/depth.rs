@@ -381,20 +381,6 @@ mod tests {
         assert!(round_trip(&noise, 256) <= 2 * noise.len() + 1);
     }
 
-    #[test]
-    fn real_depth_takes_less_than_a_twelfth() {
-        let Some(shared) = crate::testing::shared() else { return };
-        for name in ["tum_fr1_xyz_400", "redkitchen_300", "scenenn_31"] {
-            let reader = crate::import::tum::TumReader::open(&shared.join("data").join(name)).unwrap();
-            for index in 0..8 {
-                if let Some(crate::recording::Event::Depth(frame)) = reader.event(index).unwrap() {
-                    let bytes = round_trip(&frame.depth, 640);
-                    assert!(bytes < frame.depth.len() * 2 / 12, "{name}: {bytes}");
-                }
-            }
-        }
-    }
-
     fn some_image() -> Vec<u16> {
         (0..40u16 * 30).map(|i| if i % 40 > 30 { 0 } else { 800 + 3 * (i / 40) + i * 7 % 5 + i / 600 * 1000 }).collect()
     }

@@ -363,11 +363,6 @@ mod tests {
             zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(bytes), options).decode().unwrap()
         };
         assert!(decode_jpeg(GRADIENT_JPEG).unwrap() == plain(GRADIENT_JPEG));
-        let Some(shared) = crate::testing::shared() else { return };
-        for name in ["scenenn_31/rgb/frame_00000_rgb.jpg", "redkitchen_300/rgb/frame-000000.jpg"] {
-            let bytes = std::fs::read(shared.join("data").join(name)).unwrap();
-            assert!(decode_jpeg(&bytes).unwrap() == plain(&bytes), "{name}");
-        }
     }
 
     proptest! {

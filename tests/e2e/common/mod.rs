@@ -59,13 +59,22 @@ pub fn arg(path: impl AsRef<Path>) -> String {
     path.as_ref().to_str().expect("temporary paths are UTF-8").to_owned()
 }
 
-/// The shared test data, or `None` (and a line that says so).
-pub fn shared() -> Option<PathBuf> {
-    let dir = std::env::var_os("LUMISCAN_SHARED").map(PathBuf::from);
-    if dir.is_none() {
-        eprintln!("skipped: LUMISCAN_SHARED is not set (the folder with the shared recordings)");
-    }
-    dir
+/// The folder `name` for what outlives a single test, emptied. It stays in the target folder until the next run.
+pub fn fixture(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("a folder for fixtures");
+    folder
+}
+
+/// A fixture folder with the synthetic table scanned and estimated, and the published scan in it.
+pub fn scanned_table(name: &str) -> (PathBuf, PathBuf) {
+    let dir = fixture(name);
+    let (source, device) = (dir.join("table"), dir.join("device"));
+    tum_folder(&source, 24);
+    let settings = ["--set", "fusion.voxel_size_m=0.01", "--rounds", "2"];
+    let folder = ok(&[&["replay", &arg(&source), "--device", &arg(&device)][..], &settings].concat());
+    (dir, PathBuf::from(folder.trim()))
 }
 
 /// The small recording that comes with the repository.
