@@ -1,8 +1,8 @@
 //! Keyframes, Eq. (1): candidates while scanning, the smallest covering set at the end.
 
-use crate::camera::{Pinhole, Rig};
-use crate::tracking::pyramid::Frame;
-use crate::tsdf::visible::View;
+use crate::camera::rig::{Pinhole, Rig};
+use crate::frame::preprocess::Frame;
+use crate::tsdf::visibility::View;
 use firmware_config::FusionConfig;
 use rayon::prelude::*;
 use recordings::scan::{FrameId, KeptFrame};

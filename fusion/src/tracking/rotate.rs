@@ -3,9 +3,9 @@
 //! A search over shifts of a tiny picture finds turns of any size that leaves the pictures overlapping; Gauss–Newton on
 //! SO(3) at the coarsest pyramid level refines it.
 
-use crate::camera::{LEVELS, Pinhole, Rig};
-use crate::tracking::System;
-use crate::tracking::pyramid::{Frame, Grey};
+use crate::camera::rig::{LEVELS, Pinhole, Rig};
+use crate::frame::preprocess::{Frame, Grey};
+use crate::tracking::align::System;
 use glam::{DQuat, DVec3, Mat3, Vec2, Vec3};
 use nalgebra::{Matrix3, Vector3};
 

@@ -2,7 +2,7 @@
 //! while the camera moves: geometry then pulls the pose back along the motion and the picture does not, and the rows
 //! disagree with each other.
 
-use crate::tracking::TimingSystem;
+use crate::tracking::align::TimingSystem;
 use firmware_config::FusionConfig;
 use nalgebra::{SMatrix, Vector2};
 

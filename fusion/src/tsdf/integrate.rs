@@ -1,10 +1,10 @@
 //! TSDF integration: blocks near the measured surface are taken from the pool, and every block that the frame tells
 //! something about is averaged with it (Curless, Levoy 1996).
 
-use crate::camera::{Pinhole, Rig, Rigid};
+use crate::camera::rig::{Pinhole, Rig, Rigid};
+use crate::camera::rolling_shutter::Sweep;
 use crate::isa::{Hot, Isa, dispatch};
-use crate::tracking::rolling_shutter::Sweep;
-use crate::tsdf::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
+use crate::tsdf::volume::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;

@@ -1,7 +1,7 @@
 //! Which vertices of the mesh a view sees: in the picture, turned towards it, not hidden by the mesh.
 
-use crate::camera::{Pinhole, Rigid};
-use crate::tsdf::extract::Pieces;
+use crate::camera::rig::{Pinhole, Rigid};
+use crate::tsdf::marching_cubes::Pieces;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::{Mesh, Pose};

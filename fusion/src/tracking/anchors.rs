@@ -1,7 +1,7 @@
 //! Anchor frames: tracking leans on the nearest, and a lost camera is found by the one that looks most alike.
 
-use crate::tracking::Reference;
-use crate::tracking::pyramid::{Frame, Grey};
+use crate::frame::preprocess::{Frame, Grey};
+use crate::tracking::align::Reference;
 use recordings::types::Pose;
 
 /// Side lengths of a thumbnail.
@@ -69,7 +69,7 @@ impl Anchors {
 
     /// Stores an anchor (in the place of the oldest when there is no more room) and returns its number.
     pub fn add(&mut self, reference: Reference, frame: &Frame) -> usize {
-        let grey = frame.grey[crate::camera::LEVELS - 1].clone();
+        let grey = frame.grey[crate::camera::rig::LEVELS - 1].clone();
         let anchor = Anchor { reference, thumbnail: Thumbnail::new(&grey), grey };
         if self.list.len() < self.capacity {
             self.list.push(anchor);
@@ -98,7 +98,7 @@ impl Anchors {
 
     /// The numbers of the `n` anchors that look most like the frame, best first.
     pub fn alike(&self, frame: &Frame, n: usize) -> Vec<usize> {
-        let thumbnail = Thumbnail::new(&frame.grey[crate::camera::LEVELS - 1]);
+        let thumbnail = Thumbnail::new(&frame.grey[crate::camera::rig::LEVELS - 1]);
         let mut scores: Vec<(f32, usize)> =
             self.list.iter().enumerate().map(|(i, a)| (a.thumbnail.correlation(&thumbnail), i)).collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));

@@ -5,7 +5,7 @@
 //! no cracks. A vertex belongs to the voxel where its edge begins; a bitmap per block and its running count give it a
 //! number, so blocks can be worked on in parallel and neighbours find each other's vertices.
 
-use crate::tsdf::{BlockCoord, Cursor, EDGE, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
+use crate::tsdf::volume::{BlockCoord, Cursor, EDGE, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use recordings::types::Mesh;

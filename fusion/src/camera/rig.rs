@@ -1,6 +1,6 @@
 //! The sensor's geometry as tracking and integration use it: undistorted pinholes and look-up maps.
 
-use crate::FusionError;
+use crate::pipeline::FusionError;
 use crate::tsdf::integrate::MOST_PIXELS;
 use firmware_config::FusionConfig;
 use glam::{DVec3, Mat3, Vec2, Vec3};

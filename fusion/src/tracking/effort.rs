@@ -2,7 +2,7 @@
 //!
 //! The budget is kept by counting work, not by reading a clock, so that a replay gives the same bits on any machine.
 
-use crate::tracking::{Geometry, Step};
+use crate::tracking::align::{Geometry, Step};
 use firmware_config::FusionConfig;
 
 /// One way to track a frame.

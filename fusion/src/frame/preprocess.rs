@@ -1,9 +1,9 @@
 //! A frame as tracking sees it: grey pyramid of the undistorted colour image, cleaned depth, and a grid of denoised
 //! points with normals.
 
-use crate::camera::{DepthCorrection, LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
+use crate::camera::rig::{DepthCorrection, LEVELS, Pinhole, Rig, Rigid, Undistort, depth_sigma};
+use crate::camera::rolling_shutter::Motion;
 use crate::isa::{Hot, Isa, dispatch};
-use crate::tracking::rolling_shutter::Motion;
 use firmware_config::FusionConfig;
 use glam::{Vec2, Vec3};
 use recordings::types::RgbdFrame;

@@ -2,8 +2,8 @@
 //!
 //! A pose stands for the instant of the colour image's middle row. Rows are numbered −½ (first) … ½ (last).
 
-use crate::camera::{Pinhole, Rig};
-use crate::tracking::exp;
+use crate::camera::rig::{Pinhole, Rig};
+use crate::tracking::align::exp;
 use glam::{DVec3, Vec2, Vec3};
 use nalgebra::Vector6;
 use recordings::types::Pose;

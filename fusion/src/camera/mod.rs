@@ -1,0 +1,4 @@
+//! The sensor's geometry.
+
+pub mod rig;
+pub mod rolling_shutter;

@@ -1,0 +1,3 @@
+//! Preprocessing of a frame.
+
+pub mod preprocess;
