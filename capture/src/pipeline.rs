@@ -294,7 +294,7 @@ fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, sour
         sensor: sensor.clone(),
         mesh: output.mesh,
         keyframes: output.keyframes,
-        witnesses: output.witnesses,
+        witnesses: output.validation_frames,
         config: config.to_toml(),
         stats,
     }

@@ -1,33 +1,25 @@
-//! Keyframes, Eq. (1): candidates while scanning, the smallest covering set at the end.
+//! Keyframes, Eq. (1): |p_a − p_b| ≥ c1, greedily. Candidates are collected during the scan; a small set that covers the
+//! surface is chosen at the end.
 
-use crate::camera::rig::{Pinhole, Rig};
+use crate::camera::pinhole::Pinhole;
+use crate::camera::rig::Rig;
 use crate::frame::preprocess::Frame;
-use crate::tsdf::visibility::View;
+use crate::tsdf::visibility::VisibilityMap;
 use firmware_config::FusionConfig;
+use firmware_config::tuning::FusionTuning;
 use rayon::prelude::*;
 use recordings::scan::{FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose};
 
-/// Vertices that coverage is judged on, at most.
-const JUDGED_VERTICES: usize = 30_000;
-/// A vertex is seen well if the angle between its normal and the direction to the camera has a greater cosine (c2).
-const WELL_COS: f32 = 0.5;
-/// A frame replaces a candidate near it if it is sharper by this factor.
-const SHARPER: f32 = 1.15;
-/// Times that a candidate may be replaced.
-const MAX_REPLACED: u32 = 3;
-/// Median depth from which a scan counts as one of a room, metres.
-const ROOM_DEPTH_M: f32 = 1.5;
-/// A keyframe must add this share of the coverable vertices.
-const MIN_GAIN: f32 = 0.002;
-
-/// A frame whose colour is kept until the end.
+/// A frame whose colour image is kept until the end of the scan.
 #[derive(Debug, Clone)]
 struct Candidate {
     id: FrameId,
+    /// Number of the tracked frame.
     index: usize,
     pose: Pose,
     sharpness: f32,
+    /// Number of candidates that it and its predecessors replaced.
     replaced: u32,
 }
 
@@ -35,7 +27,7 @@ struct Candidate {
 #[derive(Debug, Default)]
 pub struct Candidates {
     list: Vec<Candidate>,
-    /// Frames kept only as possible witnesses, when too few candidates come about.
+    /// Further frames, as validation frames of scans with few candidates.
     reserve: Vec<Candidate>,
     next_id: u32,
     spacing_m: f64,
@@ -47,12 +39,12 @@ pub struct Candidates {
 #[derive(Debug, Default)]
 pub struct Chosen {
     pub keyframes: Vec<KeptFrame>,
-    pub witnesses: Vec<KeptFrame>,
-    /// Share of the mesh's vertices, of those that any candidate saw well, that a keyframe sees.
+    pub validation_frames: Vec<KeptFrame>,
+    /// Share of the vertices visible to a keyframe, of those that any candidate sees with the full weight.
     pub coverage: f64,
 }
 
-/// Distance of two views: that of their centres, or of what their centre rays meet if they turn on the spot.
+/// Distance of two poses, metres: that of the centres, or the angle at a radius of 0.5 m if the camera turns on the spot.
 fn view_distance(a: &Pose, b: &Pose) -> f64 {
     let turn = a.rotation.angle_between(b.rotation);
     (a.translation - b.translation).length().max(0.5 * turn)
@@ -61,12 +53,13 @@ fn view_distance(a: &Pose, b: &Pose) -> f64 {
 impl Candidates {
     /// An empty list.
     pub fn new(config: &FusionConfig) -> Self {
-        // Twice as dense as keyframes may stand: the choice at the end needs something to choose from.
+        // Twice as dense as keyframes: the final choice needs alternatives.
         Self { spacing_m: 0.5 * config.keyframe_spacing_m, ..Self::default() }
     }
 
-    /// Decides whether a tracked frame becomes a candidate.
+    /// Makes a tracked frame a candidate if no other is near it, or if it is sharper; returns its id.
     pub fn offer(&mut self, frame: &Frame, pose: &Pose, config: &FusionConfig) -> Option<FrameId> {
+        let tuning = &config.tuning.keyframes;
         self.depth_sum += f64::from(frame.median_depth);
         self.frames += 1;
         let nearest = self
@@ -93,7 +86,7 @@ impl Candidates {
             }
             Some((_, i)) => {
                 let old = &self.list[i];
-                if frame.sharpness > SHARPER * old.sharpness && old.replaced < MAX_REPLACED {
+                if frame.sharpness > tuning.sharper as f32 * old.sharpness && old.replaced < tuning.max_replaced {
                     let (id, candidate) = new(frame.sharpness, old.replaced + 1);
                     self.list[i] = candidate;
                     Some(id)
@@ -108,7 +101,7 @@ impl Candidates {
         }
     }
 
-    /// Doubles the spacing and drops what is then too close to an earlier candidate.
+    /// Doubles the spacing and drops the candidates too close to an earlier one.
     fn thin(&mut self) {
         self.spacing_m *= 2.0;
         let mut kept: Vec<Candidate> = Vec::new();
@@ -120,21 +113,23 @@ impl Candidates {
         self.list = kept;
     }
 
-    /// Where the candidates stand, and the frames in reserve.
+    /// `world_from_camera` of the candidates and of the frames in reserve.
     pub fn poses(&self) -> impl Iterator<Item = Pose> {
         self.list.iter().chain(&self.reserve).map(|c| c.pose)
     }
 
-    /// Chooses keyframes and witnesses for the finished mesh.
+    /// Chooses keyframes and validation frames for the finished mesh.
     pub fn choose(mut self, mesh: &Mesh, rig: &Rig, config: &FusionConfig) -> Chosen {
+        let tuning = &config.tuning;
         self.list.sort_by_key(|c| c.index);
-        let stride = mesh.positions.len().div_ceil(JUDGED_VERTICES).max(1);
-        let judged: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
-        let views: Vec<Vec<u8>> = self.list.par_iter().map(|c| c.sees(mesh, &judged, &rig.grey[1])).collect();
-        let room = self.frames > 0 && self.depth_sum / f64::from(self.frames) > f64::from(ROOM_DEPTH_M);
+        let stride = mesh.positions.len().div_ceil(tuning.keyframes.max_vertices as usize).max(1);
+        let sampled: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
+        let views: Vec<Vec<u8>> =
+            self.list.par_iter().map(|c| c.visibility(mesh, &sampled, &rig.grey[1], tuning)).collect();
+        let room = self.frames > 0 && self.depth_sum / f64::from(self.frames) > tuning.keyframes.room_depth_m;
         let spacing = config.keyframe_spacing_m * if room { 2.0 } else { 1.0 };
         let chosen = greedy(&self.list, &views, spacing, config);
-        let well: Vec<usize> = (0..judged.len()).filter(|v| views.iter().any(|c| c[*v] > 1)).collect();
+        let well: Vec<usize> = (0..sampled.len()).filter(|v| views.iter().any(|c| c[*v] > 1)).collect();
         let seen = well.iter().filter(|v| chosen.iter().any(|c| views[*c][**v] > 0)).count();
         let kept = |c: &Candidate| KeptFrame { id: c.id, world_from_camera: c.pose };
         let mut rest: Vec<&Candidate> =
@@ -144,45 +139,45 @@ impl Candidates {
         let mut keyframes: Vec<usize> = chosen.clone();
         keyframes.sort_unstable();
         Chosen {
-            witnesses: spread(&rest, config.witnesses as usize).into_iter().map(kept).collect(),
+            validation_frames: spread(&rest, config.witnesses as usize).into_iter().map(kept).collect(),
             keyframes: keyframes.into_iter().map(|i| kept(&self.list[i])).collect(),
             coverage: seen as f64 / well.len().max(1) as f64,
         }
     }
 }
 
-/// `n` frames spread evenly over the list, the sharpest of each stretch.
+/// The sharpest frame of each of `n` equal parts of the list.
 fn spread<'a>(frames: &[&'a Candidate], n: usize) -> Vec<&'a Candidate> {
     let n = n.min(frames.len());
     (0..n)
         .filter_map(|i| {
-            let stretch = &frames[i * frames.len() / n..(i + 1) * frames.len() / n];
-            stretch.iter().copied().max_by(|a, b| a.sharpness.total_cmp(&b.sharpness))
+            let part = &frames[i * frames.len() / n..(i + 1) * frames.len() / n];
+            part.iter().copied().max_by(|a, b| a.sharpness.total_cmp(&b.sharpness))
         })
         .collect()
 }
 
 impl Candidate {
-    /// For each judged vertex: 0 not seen, 1 seen, 2 seen well.
-    fn sees(&self, mesh: &Mesh, judged: &[usize], camera: &Pinhole) -> Vec<u8> {
-        let view = View::new(mesh, &self.pose, camera);
-        let quality = |i: &usize| match view.sees(mesh.positions[*i], mesh.normals[*i]) {
+    /// `[sampled vertex]`: 0 not visible, 1 visible, 2 visible at a good angle (`keyframes.full_cos`).
+    fn visibility(&self, mesh: &Mesh, sampled: &[usize], camera: &Pinhole, tuning: &FusionTuning) -> Vec<u8> {
+        let map = VisibilityMap::new(mesh, &self.pose, camera, &tuning.surface_coverage);
+        let quality = |i: &usize| match map.visible_cos(mesh.positions[*i], mesh.normals[*i]) {
             None => 0,
-            Some(cos) if cos > WELL_COS => 2,
+            Some(cos) if cos > tuning.keyframes.full_cos as f32 => 2,
             Some(_) => 1,
         };
-        judged.iter().map(quality).collect()
+        sampled.iter().map(quality).collect()
     }
 }
 
 // Eq. (1)
-/// Greedy set cover: the frame that adds most comes next, as long as it stands at least `spacing` from those chosen.
-/// A vertex asks for `keyframe_views` views, each less urgently than the one before. What only a frame closer than that
-/// shows is covered at last, spacing or not.
+/// Greedy set cover: the next frame is the one with the largest gain at least `spacing` metres from those chosen. A vertex
+/// wants `fusion.keyframe_views` views; each further view gains half of the one before. Vertices visible only to closer
+/// frames are covered in a second pass without spacing. `views` is `[candidate][sampled vertex]`; returns candidates.
 fn greedy(list: &[Candidate], views: &[Vec<u8>], spacing: f64, config: &FusionConfig) -> Vec<usize> {
     let wanted = config.keyframe_views as usize;
     let coverable = (0..views.first().map_or(0, Vec::len)).filter(|v| views.iter().any(|c| c[*v] > 0)).count();
-    let least = MIN_GAIN * coverable as f32;
+    let least = config.tuning.keyframes.min_gain_share as f32 * coverable as f32;
     let mut chosen: Vec<usize> = Vec::new();
     let mut count = vec![0usize; views.first().map_or(0, Vec::len)];
     for strict in [true, false] {
@@ -192,9 +187,9 @@ fn greedy(list: &[Candidate], views: &[Vec<u8>], spacing: f64, config: &FusionCo
                     .iter()
                     .zip(&count)
                     .map(|(seen, n)| {
-                        let asked = if strict { *n < wanted } else { *n == 0 };
+                        let wants = if strict { *n < wanted } else { *n == 0 };
                         let quality = f32::from(*seen) * 0.5;
-                        if asked { quality / (1 << (*n).min(16)) as f32 } else { 0.0 }
+                        if wants { quality / (1 << (*n).min(16)) as f32 } else { 0.0 }
                     })
                     .sum()
             };

@@ -190,7 +190,7 @@ fn run(dir: &Path, truth: Option<&Path>, config: &Config, play: &Play, out: Opti
         result.mesh.positions.len(),
         result.mesh.triangles.len(),
         result.keyframes.len(),
-        result.witnesses.len(),
+        result.validation_frames.len(),
         100.0 * s.keyframe_coverage
     );
     report_ate(dir, &result, truth)?;

@@ -4,30 +4,48 @@
 //! that does it.
 
 mod association;
+mod depth_noise;
 mod distance_check;
 mod exposure;
 mod gravity;
+mod keyframes;
 mod mesh;
 mod pose;
+mod preprocessing;
+mod relocalisation;
 mod response;
+mod rotation_search;
 mod segmentation;
 mod session;
 mod supervision;
+mod surface_coverage;
+mod timing;
 mod tracking;
+mod tracking_effort;
+mod volume;
 
 use crate::settings::tuning;
 
 pub use association::AssociationTuning;
+pub use depth_noise::{DepthNoise, DepthNoiseTuning};
 pub use distance_check::DistanceCheckTuning;
 pub use exposure::ExposureTuning;
 pub use gravity::GravityTuning;
+pub use keyframes::KeyframesTuning;
 pub use mesh::MeshTuning;
 pub use pose::PoseTuning;
+pub use preprocessing::PreprocessingTuning;
+pub use relocalisation::RelocalisationTuning;
 pub use response::ResponseTuning;
+pub use rotation_search::RotationSearchTuning;
 pub use segmentation::SegmentationTuning;
 pub use session::SessionTuning;
 pub use supervision::SupervisionTuning;
+pub use surface_coverage::SurfaceCoverageTuning;
+pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
+pub use tracking_effort::TrackingEffortTuning;
+pub use volume::VolumeTuning;
 
 tuning! {
     /// Thresholds of the estimator's stages.
@@ -52,8 +70,26 @@ tuning! {
 tuning! {
     /// Thresholds of fusion's stages.
     FusionTuning {
-        /// Frame-to-model tracking and relocalisation.
+        /// Frame-to-model tracking.
         tracking: TrackingTuning;
+        /// Relocalisation against stored anchor frames.
+        relocalisation: RelocalisationTuning;
+        /// Rotation from image to image, for fast turns.
+        rotation_search: RotationSearchTuning;
+        /// Delay of depth and rolling shutter.
+        timing: TimingTuning;
+        /// Cost model of the CPU budget.
+        tracking_effort: TrackingEffortTuning;
+        /// Depth preprocessing.
+        preprocessing: PreprocessingTuning;
+        /// Noise model of the depth sensor.
+        depth_noise: DepthNoiseTuning;
+        /// TSDF volume.
+        volume: VolumeTuning;
+        /// Visibility of the fused surface.
+        surface_coverage: SurfaceCoverageTuning;
+        /// Greedy choice of keyframes, Eq. (1).
+        keyframes: KeyframesTuning;
     }
 }
 

@@ -1,51 +1,49 @@
-//! Images are read out row by row while the camera moves: when each row was seen, and from where.
+//! Rolling shutter: images are read out row by row while the camera moves.
 //!
-//! A pose stands for the instant of the colour image's middle row. Rows are numbered −½ (first) … ½ (last).
+//! A pose belongs to the instant of the colour image's middle row. Rows are numbered s = −½ (first) … ½ (last).
 
-use crate::camera::rig::{Pinhole, Rig};
-use crate::tracking::align::exp;
+use crate::camera::pinhole::Pinhole;
+use crate::camera::rig::Rig;
+use crate::camera::twist::exp;
 use glam::{DVec3, Vec2, Vec3};
 use nalgebra::Vector6;
 use recordings::types::Pose;
 
-/// Shift by the motion between the middle row and the last, in pixels, under which all rows count as seen at once.
-const NOTICEABLE_PX: f64 = 0.2;
-
-/// How the camera moves while it takes a frame.
+/// Motion of the camera while a frame is taken.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Motion {
-    /// Twist (translation, rotation) per second, axes of the colour camera.
+    /// Twist (translation in metres, rotation in radians) per second, axes of the colour camera.
     pub velocity: Vector6<f64>,
-    /// From the middle of the depth image's read-out to that of the colour image's, seconds.
+    /// Time from the middle of the depth image's read-out to the middle of the colour image's read-out, seconds.
     pub gap_s: f64,
-    /// From the first row of an image to its last, seconds.
+    /// Time from the first row of an image to its last row, seconds.
     pub readout_s: f64,
 }
 
 impl Motion {
-    /// Takes a point from the colour camera at the instant of a row of depth to the same camera at the pose's instant.
+    /// Transform of the colour camera from the instant of a depth row to the instant of the pose.
     pub fn color_from_row(&self, row: f64) -> Pose {
         exp(&(self.velocity * (row * self.readout_s - self.gap_s)))
     }
 
-    /// Metres per second, turns taken at so many metres.
+    /// Speed of points at `depth_m`, metres per second: translation plus rotation.
     pub fn speed(&self, depth_m: f32) -> f64 {
         let (v, w) = parts(&self.velocity);
         v.length() + w.length() * f64::from(depth_m)
     }
 
-    /// How the depth camera moves while it is read out.
-    pub fn of_depth(&self, rig: &Rig) -> Sweep {
+    /// The rolling shutter of the depth camera.
+    pub fn of_depth(&self, rig: &Rig) -> RollingShutter {
         let back = rig.depth_from_color.rotation;
         let (v, w) = parts(&self.velocity);
         let at = rig.color_from_depth.translation;
-        Sweep::new(back * (v + w.cross(at)), back * w, self.readout_s, &rig.depth)
+        RollingShutter::new(back * (v + w.cross(at)), back * w, self.readout_s, &rig.depth, rig.min_row_shift_px)
     }
 
-    /// How the colour camera moves while it is read out.
-    pub fn of_color(&self, rig: &Rig) -> Sweep {
+    /// The rolling shutter of the colour camera.
+    pub fn of_color(&self, rig: &Rig) -> RollingShutter {
         let (v, w) = parts(&self.velocity);
-        Sweep::new(v, w, self.readout_s, &rig.grey[0])
+        RollingShutter::new(v, w, self.readout_s, &rig.grey[0], rig.min_row_shift_px)
     }
 }
 
@@ -53,48 +51,49 @@ fn parts(twist: &Vector6<f64>) -> (DVec3, DVec3) {
     (DVec3::new(twist[0], twist[1], twist[2]), DVec3::new(twist[3], twist[4], twist[5]))
 }
 
-/// What a camera goes through from its first row to its last: axes of that camera in its middle, zero if that does not
-/// show in the image.
+/// Motion of a camera from its first row to its last row, in its axes at the middle row; zero if the image does not show it
+/// (`timing.min_row_shift_px`).
 #[derive(Debug, Clone, Copy)]
-pub struct Sweep {
-    pub way: Vec3,
-    pub turn: Vec3,
+pub struct RollingShutter {
+    /// Translation, metres.
+    pub translation: Vec3,
+    /// Rotation vector, radians.
+    pub rotation: Vec3,
 }
 
-impl Sweep {
-    fn new(velocity: DVec3, turn: DVec3, readout_s: f64, camera: &Pinhole) -> Self {
-        // Of points at 1 m.
+impl RollingShutter {
+    fn new(velocity: DVec3, turn: DVec3, readout_s: f64, camera: &Pinhole, min_row_shift_px: f64) -> Self {
+        // Of points at 1 m, between the middle row and the last row.
         let shift = 0.5 * readout_s * f64::from(camera.fx) * (velocity.length() + turn.length());
-        let shows = if shift.abs() < NOTICEABLE_PX { 0.0 } else { readout_s };
-        Self { way: (velocity * shows).as_vec3(), turn: (turn * shows).as_vec3() }
+        let shows = if shift.abs() < min_row_shift_px { 0.0 } else { readout_s };
+        Self { translation: (velocity * shows).as_vec3(), rotation: (turn * shows).as_vec3() }
     }
 
-    /// True if all rows are seen at once.
+    /// True if all rows count as simultaneous.
     pub fn is_still(&self) -> bool {
-        self.way == Vec3::ZERO && self.turn == Vec3::ZERO
+        self.translation == Vec3::ZERO && self.rotation == Vec3::ZERO
     }
 
-    /// How a point moves against the camera from the first row to the last, with the sign turned: at row s it is seen at
-    /// p − s · shift.
+    /// Motion of the camera relative to a point, from the first row to the last row: row s sees the point at p − s · shift.
     #[inline(always)]
     pub fn shift(&self, p: Vec3) -> Vec3 {
-        self.way + self.turn.cross(p)
+        self.translation + self.rotation.cross(p)
     }
 
-    /// Takes a point from the camera at the instant of a row to the same camera at the middle's.
+    /// Transform of the camera from the instant of a row to the instant of the middle row.
     pub fn middle_from_row(&self, row: f32) -> Pose {
-        let [translation, rotation] = [self.way, self.turn].map(|d| (d * row).as_dvec3());
+        let [translation, rotation] = [self.translation, self.rotation].map(|d| (d * row).as_dvec3());
         Pose::exp(rotation, translation)
     }
 
-    /// The point as it is seen in its own row, with its pixel there; the point must lie in front of the camera.
+    /// The point as its own row sees it, and its pixel there; the point must lie in front of the camera.
     #[inline(always)]
     pub fn project(&self, camera: &Pinhole, p: Vec3) -> (Vec3, Vec2) {
         if self.is_still() {
             return (p, camera.project(p));
         }
-        // The pixel row y depends on the instant s, which is a y + b: with s in the small z term taken from where the
-        // point would be without motion, that is linear in y.
+        // The pixel row y depends on the instant s = a y + b. With s of the point without motion in the small z term, the
+        // equation is linear in y.
         let a = 1.0 / camera.height as f32;
         let b = 0.5 * a - 0.5;
         let shift = self.shift(p);
@@ -109,21 +108,23 @@ impl Sweep {
 mod tests {
     use super::*;
 
-    /// A point's pixel in a moving camera lies in the row at whose instant the point is seen there.
+    /// The pixel of a point in a moving camera lies in the row that sees the point there.
     #[test]
     fn a_point_is_seen_when_its_row_is_read() {
         let camera = Pinhole { width: 320, height: 240, fx: 262.0, fy: 262.0, cx: 159.5, cy: 119.5 };
         let (velocity, turn) = (DVec3::new(0.4, -0.6, 0.3), DVec3::new(2.0, -1.0, 1.5));
-        let sweep = Sweep::new(velocity, turn, 0.03, &camera);
-        assert!(!sweep.is_still() && Sweep::new(velocity * 0.01, turn * 0.01, 0.03, &camera).is_still());
+        let shutter = RollingShutter::new(velocity, turn, 0.03, &camera, 0.2);
+        assert!(
+            !shutter.is_still() && RollingShutter::new(velocity * 0.01, turn * 0.01, 0.03, &camera, 0.2).is_still()
+        );
         for i in 0..200 {
             let q = Vec2::new((i * 37 % 320) as f32, (i * 91 % 240) as f32);
             let p = camera.ray(q.x, q.y) * (0.5 + 0.02 * i as f32);
-            let (seen, pixel) = sweep.project(&camera, p);
+            let (seen, pixel) = shutter.project(&camera, p);
             let row = camera.row(pixel.y);
-            let expected = sweep.middle_from_row(row).inverse().transform(p.as_dvec3()).as_vec3();
+            let expected = shutter.middle_from_row(row).inverse().transform(p.as_dvec3()).as_vec3();
             assert!((pixel - camera.project(seen)).length() < 1e-3);
-            // But for the second order of a turn by 2.6° in half a read-out.
+            // Up to the second order of a rotation by 2.6° in half a read-out.
             assert!((pixel - camera.project(expected)).length() < 0.5, "{pixel} {}", camera.project(expected));
         }
     }

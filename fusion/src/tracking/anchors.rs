@@ -1,18 +1,20 @@
-//! Anchor frames: tracking leans on the nearest, and a lost camera is found by the one that looks most alike.
+//! Anchor frames: tracking aligns to the nearest one, relocalisation to the most similar ones.
 
-use crate::frame::preprocess::{Frame, Grey};
-use crate::tracking::align::Reference;
+use crate::camera::rig::LEVELS;
+use crate::frame::grey::Grey;
+use crate::frame::preprocess::Frame;
+use crate::tracking::reference::Reference;
 use recordings::types::Pose;
 
-/// Side lengths of a thumbnail.
+/// Width and height of a thumbnail, pixels.
 const THUMB: (usize, usize) = (20, 15);
 
-/// A normalised thumbnail: zero mean, unit length, so that a dot product is a correlation.
+/// A thumbnail of zero mean and unit length: a dot product of two is their correlation.
 #[derive(Debug, Clone)]
 pub struct Thumbnail(Vec<f32>);
 
 impl Thumbnail {
-    /// Of the coarsest grey level.
+    /// The thumbnail of the coarsest grey level.
     pub fn new(grey: &Grey) -> Self {
         let mut t = vec![0.0f32; THUMB.0 * THUMB.1];
         for (i, t) in t.iter_mut().enumerate() {
@@ -57,19 +59,19 @@ pub struct Anchors {
 }
 
 impl Anchors {
-    /// None yet.
+    /// No anchors.
     pub fn new(capacity: usize) -> Self {
         Self { list: Vec::new(), capacity, oldest: 0 }
     }
 
-    /// The anchor of this number.
+    /// The anchor with this number.
     pub fn get(&self, i: usize) -> Option<&Anchor> {
         self.list.get(i)
     }
 
-    /// Stores an anchor (in the place of the oldest when there is no more room) and returns its number.
+    /// Stores an anchor, in place of the oldest if the store is full; returns its number.
     pub fn add(&mut self, reference: Reference, frame: &Frame) -> usize {
-        let grey = frame.grey[crate::camera::rig::LEVELS - 1].clone();
+        let grey = frame.grey[LEVELS - 1].clone();
         let anchor = Anchor { reference, thumbnail: Thumbnail::new(&grey), grey };
         if self.list.len() < self.capacity {
             self.list.push(anchor);
@@ -81,7 +83,8 @@ impl Anchors {
         at
     }
 
-    /// The anchor nearest to a pose in units of the allowed distance and angle, with that distance (1 = at the limit).
+    /// The anchor nearest to a pose and its distance, in units of the limits: `distance` as a share of the anchor's median
+    /// depth, `angle` in radians.
     pub fn nearest(&self, pose: &Pose, distance: f64, angle: f64) -> Option<(usize, f64)> {
         self.list
             .iter()
@@ -96,9 +99,9 @@ impl Anchors {
             .min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The numbers of the `n` anchors that look most like the frame, best first.
-    pub fn alike(&self, frame: &Frame, n: usize) -> Vec<usize> {
-        let thumbnail = Thumbnail::new(&frame.grey[crate::camera::rig::LEVELS - 1]);
+    /// The numbers of the `n` anchors whose thumbnails correlate most with the frame, best first.
+    pub fn most_similar(&self, frame: &Frame, n: usize) -> Vec<usize> {
+        let thumbnail = Thumbnail::new(&frame.grey[LEVELS - 1]);
         let mut scores: Vec<(f32, usize)> =
             self.list.iter().enumerate().map(|(i, a)| (a.thumbnail.correlation(&thumbnail), i)).collect();
         scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));

@@ -1,43 +1,48 @@
-//! Rotation alone, from picture to picture: what gets tracking through fast turns.
+//! Rotation from image to image, for fast turns.
 //!
-//! A search over shifts of a tiny picture finds turns of any size that leaves the pictures overlapping; Gauss–Newton on
-//! SO(3) at the coarsest pyramid level refines it.
+//! A search over shifts of a reduced image finds large rotations as long as the images overlap; Gauss–Newton on SO(3) at the
+//! coarsest pyramid level refines the result.
 
-use crate::camera::rig::{LEVELS, Pinhole, Rig};
-use crate::frame::preprocess::{Frame, Grey};
-use crate::tracking::align::System;
+use crate::camera::pinhole::Pinhole;
+use crate::camera::rig::{LEVELS, Rig};
+use crate::frame::grey::Grey;
+use crate::frame::preprocess::Frame;
+use crate::tracking::normal_equations::System;
+use firmware_config::FusionConfig;
 use glam::{DQuat, DVec3, Mat3, Vec2, Vec3};
 use nalgebra::{Matrix3, Vector3};
 
-/// Pixels of the coarsest level per pixel of the tiny picture, along each side.
-const TINY_STEP: usize = 2;
-/// Largest shift searched, as a share of the tiny picture's width.
-const MAX_SHIFT: f32 = 0.3;
-/// The result must lower the residual of the prediction to this share of it to be of interest.
-const WORTHWHILE: f32 = 0.95;
-/// … and by this many grey values: pictures of a bare wall fit each other at any turn, but for the noise.
-const ABOVE_NOISE: f32 = 0.5;
+/// Pixels of the coarsest level per pixel of the reduced image, along each side.
+const REDUCTION: usize = 2;
+/// Gauss–Newton iterations.
+const ITERATIONS: usize = 8;
+/// Scale of the robust weight, grey values squared, and cap of a residual in the mean, grey values.
+const ROBUST_SCALE2: f32 = 400.0;
+const RESIDUAL_CAP: f32 = 40.0;
 
-/// `camera_from_reference` by rotation alone, from another frame's coarsest grey level, if that explains the picture clearly
-/// better than the predicted `start`.
-pub fn align(frame: &Frame, reference: &Grey, rig: &Rig, start: DQuat) -> Option<DQuat> {
+/// `camera_from_reference` as a rotation, from the coarsest grey level of another frame; `None` unless it explains the image
+/// clearly better than the predicted `start` (`rotation_search.max_residual_ratio`, `min_residual_drop`).
+pub fn align(frame: &Frame, reference: &Grey, rig: &Rig, start: DQuat, config: &FusionConfig) -> Option<DQuat> {
+    let tuning = &config.tuning.rotation_search;
+    let (max_ratio, min_drop) = (tuning.max_residual_ratio as f32, tuning.min_residual_drop as f32);
     let camera = &rig.grey[LEVELS - 1];
     let current = &frame.grey[LEVELS - 1];
     let (refined, before, after) = refine(reference, current, camera, start)?;
-    let shifted = shift(&tiny(reference), &tiny(current), &camera.reduced(TINY_STEP));
+    let shifted =
+        best_shift(&reduced(reference), &reduced(current), &camera.reduced(REDUCTION), tuning.max_shift_share as f32);
     let best = match shifted.and_then(|s| refine(reference, current, camera, s)) {
-        Some((rotation, _, error)) if error < WORTHWHILE * after => (rotation, error),
+        Some((rotation, _, error)) if error < max_ratio * after => (rotation, error),
         _ => (refined, after),
     };
-    (best.1 < WORTHWHILE * before && best.1 < before - ABOVE_NOISE).then_some(best.0)
+    (best.1 < max_ratio * before && best.1 < before - min_drop).then_some(best.0)
 }
 
-/// Means of `TINY_STEP`² pixels, less the picture's mean; unknown pixels count as mean.
-fn tiny(grey: &Grey) -> Grey {
-    let (width, height) = (grey.width / TINY_STEP, grey.height / TINY_STEP);
+/// Means of `REDUCTION`² pixels minus the mean of the image; unknown pixels are 0.
+fn reduced(grey: &Grey) -> Grey {
+    let (width, height) = (grey.width / REDUCTION, grey.height / REDUCTION);
     let mut data = vec![0.0; width * height];
     for (i, t) in data.iter_mut().enumerate() {
-        let at = (i / width.max(1)) * TINY_STEP * grey.width + (i % width.max(1)) * TINY_STEP;
+        let at = (i / width.max(1)) * REDUCTION * grey.width + (i % width.max(1)) * REDUCTION;
         let cell = [at, at + 1, at + grey.width, at + grey.width + 1].map(|k| grey.data[k]);
         *t = if cell.iter().all(|g| *g >= 0.0) { cell.iter().sum::<f32>() * 0.25 } else { f32::NAN };
     }
@@ -47,10 +52,10 @@ fn tiny(grey: &Grey) -> Grey {
     Grey { width, height, data }
 }
 
-/// The rotation whose shift of the picture leaves the least mean absolute difference.
-fn shift(reference: &Grey, current: &Grey, camera: &Pinhole) -> Option<DQuat> {
+/// The rotation that corresponds to the image shift with the smallest mean absolute difference.
+fn best_shift(reference: &Grey, current: &Grey, camera: &Pinhole, max_shift: f32) -> Option<DQuat> {
     let (w, h) = (reference.width as i32, reference.height as i32);
-    let reach = (MAX_SHIFT * w as f32) as i32;
+    let reach = (max_shift * w as f32) as i32;
     let reach_y = reach.min(h / 2);
     let mut best = (f32::INFINITY, 0, 0);
     for dy in -reach_y..=reach_y {
@@ -76,12 +81,12 @@ fn shift(reference: &Grey, current: &Grey, camera: &Pinhole) -> Option<DQuat> {
     best.0.is_finite().then(|| DQuat::from_rotation_arc(from.as_dvec3(), to.as_dvec3()))
 }
 
-/// Gauss–Newton on SO(3); returns the rotation with the mean residual at the start and at the end.
+/// Gauss–Newton on SO(3); returns the rotation, and the mean residual at the start and at the end.
 fn refine(reference: &Grey, current: &Grey, camera: &Pinhole, start: DQuat) -> Option<(DQuat, f32, f32)> {
     let mut rotation = start;
     let mut first = None;
     let mut best: Option<(DQuat, f32)> = None;
-    for _ in 0..8 {
+    for _ in 0..ITERATIONS {
         let system = residuals(reference, current, camera, rotation);
         if system.count * 4 < reference.data.len() {
             break;
@@ -116,16 +121,16 @@ fn residuals(reference: &Grey, current: &Grey, camera: &Pinhole, rotation: DQuat
         offset += f64::from(value - grey);
         pairs.push((x, value - grey, gradient));
     }
-    // Exposure may have changed: the mean difference is no residual.
+    // The mean difference is a change of exposure, not a residual.
     let offset = (offset / pairs.len().max(1) as f64) as f32;
     for (x, e, gradient) in pairs {
         let e = e - offset;
         let Vec2 { x: gx, y: gy } = gradient * Vec2::new(camera.fx, camera.fy) / x.z;
         let g = Vec3::new(gx, gy, -(gx * x.x + gy * x.y) / x.z);
-        // camera_from_last ← exp(ω) · camera_from_last moves x by ω × x.
-        system.add(&x.cross(g).to_array(), e, 1.0 / (1.0 + e * e * (1.0 / 400.0)));
+        // camera_from_reference ← exp(ω) · camera_from_reference moves x by ω × x.
+        system.add(&x.cross(g).to_array(), e, 1.0 / (1.0 + e * e * (1.0 / ROBUST_SCALE2)));
         system.count += 1;
-        system.absolute += f64::from(e.abs().min(40.0));
+        system.absolute += f64::from(e.abs().min(RESIDUAL_CAP));
     }
     system
 }

@@ -1,93 +1,33 @@
 //! Marching cubes (Lorensen, Cline 1987) over the blocks, with shared vertices.
 //!
-//! The case table is derived, not typed in: on each face of the cube the surface is cut so that inside corners are
-//! separated, the cuts join to loops, the loops are fanned. Two cells that share a face cut it alike, so the surface has
-//! no cracks. A vertex belongs to the voxel where its edge begins; a bitmap per block and its running count give it a
-//! number, so blocks can be worked on in parallel and neighbours find each other's vertices.
+//! A vertex belongs to the voxel where its edge begins. A bitmap per block and its running count number the vertices, so
+//! that blocks are processed in parallel and neighbours find each other's vertices.
 
-use crate::tsdf::volume::{BlockCoord, Cursor, EDGE, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
+use crate::tsdf::components::drop_small_components;
+use crate::tsdf::marching_cubes_table::{EDGES, case_table};
+use crate::tsdf::sampling::Cursor;
+use crate::tsdf::volume::{BlockCoord, EDGE, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use recordings::types::Mesh;
 
 /// Words of a block's edge bitmap: three axes × 512 voxels.
 const WORDS: usize = 3 * VOXELS / 64;
-/// Blocks whose weights are counted at a time.
+/// Blocks whose weights are counted at once.
 const SLOTS_COUNTED: usize = 1024;
-/// Samples along the edge of a block with its far neighbours' first layer.
+/// Samples along the edge of a block with the first layer of its neighbour.
 const PAD: usize = EDGE + 1;
 
-/// The edges of a cube: start corner and axis; corner bits are x, y, z.
-const EDGES: [(usize, usize); 12] = [
-    (0, 0),
-    (2, 0),
-    (4, 0),
-    (6, 0), //
-    (0, 1),
-    (1, 1),
-    (4, 1),
-    (5, 1), //
-    (0, 2),
-    (1, 2),
-    (2, 2),
-    (3, 2),
-];
-
-/// Corners of each face, counter-clockwise seen from outside.
-const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
-
-/// For each sign pattern (bit = corner inside) the triangles as triples of edges.
-fn case_table() -> Vec<Vec<[usize; 3]>> {
-    let edge_between = |a: usize, b: usize| {
-        let (start, axis) = (a & b, (a ^ b).trailing_zeros() as usize);
-        EDGES.iter().position(|e| *e == (start, axis)).unwrap_or(0)
-    };
-    (0..256usize)
-        .map(|case| {
-            let inside = |c: usize| case >> c & 1 == 1;
-            // next[e]: the edge to which the surface runs from edge e across a face.
-            let mut next = [None; 12];
-            for face in FACES {
-                for i in 0..4 {
-                    // A run of inside corners begins after corner i …
-                    if inside(face[i]) || !inside(face[(i + 1) % 4]) {
-                        continue;
-                    }
-                    let enter = edge_between(face[i], face[(i + 1) % 4]);
-                    // … and ends before the next outside corner.
-                    if let Some(k) = (2..=4).find(|k| !inside(face[(i + k) % 4])) {
-                        let exit = edge_between(face[(i + k - 1) % 4], face[(i + k) % 4]);
-                        next[enter] = Some(exit);
-                    }
-                }
-            }
-            let mut triangles = Vec::new();
-            for first in 0..12 {
-                let mut ring = Vec::new();
-                let mut at = first;
-                while let Some(to) = next[at].take() {
-                    ring.push(at);
-                    at = to;
-                }
-                for k in 2..ring.len() {
-                    triangles.push([ring[0], ring[k - 1], ring[k]]);
-                }
-            }
-            triangles
-        })
-        .collect()
-}
-
-/// Which edges of a block carry a vertex, and the number of its first.
+/// The edges of a block with a vertex, and the number of its first vertex.
 struct BlockEdges {
     bits: [u64; WORDS],
-    /// Vertices in the words before each.
+    /// `[word]`: vertices in the words before.
     before: [u16; WORDS],
     first: u32,
 }
 
 impl BlockEdges {
-    /// Number of the vertex on the edge that begins at voxel `at` of the block, if there is one.
+    /// Number of the vertex on the edge that begins at voxel `at` of the block; `None` without a vertex.
     fn vertex(&self, at: usize, axis: usize) -> Option<u32> {
         let bit = axis * VOXELS + at;
         let (word, mask) = (bit / 64, 1u64 << (bit % 64));
@@ -96,7 +36,7 @@ impl BlockEdges {
     }
 }
 
-/// A block's samples and those of the first layer beyond it: distance in units of truncation, and weight.
+/// Samples of a block and of the first layer beyond it: distance in units of truncation, and weight.
 struct Padded {
     sdf: [f32; PAD * PAD * PAD],
     weight: [u16; PAD * PAD * PAD],
@@ -140,30 +80,30 @@ impl Padded {
 
 const STEPS: [usize; 3] = [1, PAD, PAD * PAD];
 
-/// What of the volume becomes surface.
+/// Which part of the volume becomes surface.
 #[derive(Debug, Clone, Copy)]
-pub struct Threshold {
-    /// Voxels of a lower weight give no surface, in frames seen from 1 m …
+pub struct SurfaceThreshold {
+    /// Smallest weight of a voxel with surface, in frames from 1 m, …
     pub min_weight: f32,
-    /// … nor do those of a lower weight than this share of [`typical_weight`].
+    /// … and as a share of [`typical_weight`].
     pub share: f32,
-    /// Connected pieces of fewer triangles are dropped.
+    /// Connected components with fewer triangles are dropped.
     pub min_triangles: usize,
 }
 
-/// Blocks of one z, with their edges.
+/// The blocks of one z, with their edges.
 struct Layer<'a> {
     slots: &'a [u32],
     edges: Vec<BlockEdges>,
 }
 
-/// Extracts the surface: vertices welded, normals from the gradient of the distance. The order depends on the volume's
-/// content alone. Goes layer by layer: beside the mesh it holds the edges of the two layers that share vertices.
-pub fn extract(volume: &Volume, threshold: &Threshold) -> Mesh {
+/// Extracts the surface, with shared vertices and normals from the gradient of the distance. The order of vertices and
+/// triangles depends on the content of the volume alone. Works layer by layer: only the edges of two layers are held.
+pub fn extract(volume: &Volume, threshold: &SurfaceThreshold) -> Mesh {
     let slots = volume.sorted_slots();
     let counts = count_edges(volume, &slots);
     let least = threshold.min_weight.max(threshold.share * typical_weight(&counts));
-    tracing::debug!(least, "surface from this weight on");
+    tracing::debug!(least, "smallest weight of the surface");
     let min_weight = (least / WEIGHT_UNIT).clamp(1.0, f32::from(u16::MAX)) as u16;
 
     let mut mesh = Mesh::default();
@@ -171,7 +111,7 @@ pub fn extract(volume: &Volume, threshold: &Threshold) -> Mesh {
     mesh.positions.reserve_exact(total);
     mesh.normals.reserve_exact(total);
     let table = case_table();
-    // Where each slot stands in its layer.
+    // `[slot]`: index in its layer.
     let mut place = vec![0u32; volume.high_water()];
     let mut lower = Layer { slots: &[], edges: Vec::new() };
     for slots in slots.chunk_by(|a, b| volume.coord(*a).z == volume.coord(*b).z).chain([&[][..]]) {
@@ -182,14 +122,14 @@ pub fn extract(volume: &Volume, threshold: &Threshold) -> Mesh {
         add_triangles(volume, &lower, &upper, &place, min_weight, &table, &mut mesh);
         lower = upper;
     }
-    drop_specks(&mut mesh, threshold.min_triangles);
+    drop_small_components(&mut mesh, threshold.min_triangles);
     mesh
 }
 
-/// How many lattice edges the surface cuts, by the lesser weight of their ends.
+/// `[weight]`: number of lattice edges that the surface cuts, by the smaller weight of their ends.
 fn count_edges(volume: &Volume, slots: &[u32]) -> Vec<u64> {
     let mut counts = vec![0u64; usize::from(u16::MAX) + 1];
-    // Few blocks at a time, so that their weights need little room.
+    // In groups of blocks, so that the lists of weights stay small.
     for slots in slots.chunks(SLOTS_COUNTED) {
         let weights: Vec<Vec<u16>> = slots.par_iter().map(|slot| cut_edges(volume, *slot)).collect();
         weights.iter().flatten().for_each(|w| counts[usize::from(*w)] += 1);
@@ -211,8 +151,8 @@ fn cut_edges(volume: &Volume, slot: u32) -> Vec<u16> {
     weights
 }
 
-/// The weight, in frames, that half of all that was measured of the surface exceeds: the weighted median over the edges
-/// cut. It grows with the length of a scan of one place, as what rare readings add up to does.
+/// Weighted median, in frames, of the weights of the cut edges: half of all readings of the surface lie above it. It grows
+/// with the length of a scan of one place, as the sum of rare readings does.
 fn typical_weight(counts: &[u64]) -> f32 {
     let evidence = |w: usize| w as u64 * counts[w];
     let all: u64 = (0..counts.len()).map(evidence).sum();
@@ -237,7 +177,7 @@ fn add_vertices(volume: &Volume, slots: &[u32], min_weight: u16, mesh: &mut Mesh
     layer
 }
 
-/// Adds the triangles of the lower of two layers whose vertices are there.
+/// Adds the triangles of the lower of two layers; the vertices of both exist.
 fn add_triangles(
     volume: &Volume,
     lower: &Layer<'_>,
@@ -294,7 +234,7 @@ fn vertices(volume: &Volume, coord: BlockCoord, min_weight: u16) -> (BlockEdges,
     (edges, positions, normals)
 }
 
-/// Gradient of the stored distance at a voxel, by central differences where both neighbours are known.
+/// Gradient of the stored distance at a voxel: central differences, one-sided where only one neighbour is known.
 fn gradient(volume: &Volume, v: IVec3, min_weight: u16, cursor: &mut Cursor) -> Vec3 {
     let here = volume.voxel(v, cursor).0;
     Vec3::from([IVec3::X, IVec3::Y, IVec3::Z].map(|d| {
@@ -347,98 +287,11 @@ fn triangles(
     out
 }
 
-/// Triangles in pieces that share vertices (union-find).
-pub struct Pieces {
-    parent: Vec<u32>,
-    /// Triangles of the piece, at its root.
-    triangles: Vec<u32>,
-}
-
-impl Pieces {
-    /// Of a mesh with so many vertices.
-    pub fn new<'a>(vertices: usize, triangles: impl Iterator<Item = &'a [u32; 3]> + Clone) -> Self {
-        let mut pieces = Self { parent: (0..vertices as u32).collect(), triangles: vec![0; vertices] };
-        for t in triangles.clone() {
-            for (a, b) in [(t[0], t[1]), (t[1], t[2])] {
-                let (a, b) = (pieces.root(a), pieces.root(b));
-                pieces.parent[a.max(b) as usize] = a.min(b);
-            }
-        }
-        for t in triangles {
-            let root = pieces.root(t[0]);
-            pieces.triangles[root as usize] += 1;
-        }
-        pieces
-    }
-
-    fn root(&mut self, mut v: u32) -> u32 {
-        while self.parent[v as usize] != v {
-            self.parent[v as usize] = self.parent[self.parent[v as usize] as usize];
-            v = self.parent[v as usize];
-        }
-        v
-    }
-
-    /// Triangles of the piece that a vertex belongs to.
-    pub fn triangles(&mut self, v: u32) -> u32 {
-        let root = self.root(v);
-        self.triangles[root as usize]
-    }
-}
-
-/// Drops small pieces and vertices that no triangle uses.
-pub fn drop_specks(mesh: &mut Mesh, min_triangles: usize) {
-    let vertices = mesh.positions.len();
-    let mut pieces = Pieces::new(vertices, mesh.triangles.iter());
-    let least = min_triangles.max(1) as u32;
-    mesh.triangles.retain(|t| pieces.triangles(t[0]) >= least);
-    let keep: Vec<bool> = (0..vertices as u32).map(|v| pieces.triangles(v) >= least).collect();
-    let mut number = pieces.parent;
-    let mut next = 0;
-    for (n, k) in number.iter_mut().zip(&keep) {
-        *n = next;
-        next += u32::from(*k);
-    }
-    for t in &mut mesh.triangles {
-        *t = t.map(|v| number[v as usize]);
-    }
-    let mut kept = keep.iter();
-    mesh.positions.retain(|_| *kept.next().unwrap_or(&false));
-    let mut kept = keep.iter();
-    mesh.normals.retain(|_| *kept.next().unwrap_or(&false));
-    // A vertex without gradient gets the normal of its triangles.
-    let missing: Vec<bool> = mesh.normals.iter().map(|n| *n == Vec3::ZERO).collect();
-    if missing.contains(&true) {
-        for t in &mesh.triangles {
-            let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
-            for v in t.iter().filter(|v| missing[**v as usize]) {
-                mesh.normals[*v as usize] += (b - a).cross(c - a);
-            }
-        }
-        for (n, m) in mesh.normals.iter_mut().zip(missing) {
-            *n = if m { n.normalize_or(Vec3::Z) } else { *n };
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use firmware_config::FusionConfig;
     use std::collections::HashMap;
-
-    #[test]
-    fn every_case_closes_its_loops() {
-        let table = case_table();
-        assert!(table[0].is_empty() && table[255].is_empty());
-        for (case, triangles) in table.iter().enumerate() {
-            let crossed = EDGES.iter().filter(|(c, a)| (case >> c & 1) != (case >> (c | 1 << a) & 1)).count();
-            let mut used: Vec<usize> = triangles.iter().flatten().copied().collect();
-            used.sort_unstable();
-            used.dedup();
-            assert_eq!(used.len(), crossed, "case {case}");
-        }
-    }
 
     #[test]
     fn a_sphere_comes_out_closed_round_and_facing_outwards() {
@@ -459,7 +312,7 @@ mod tests {
                 }
             }
         }
-        let mesh = extract(&volume, &Threshold { min_weight: 3.0, share: 0.01, min_triangles: 10 });
+        let mesh = extract(&volume, &SurfaceThreshold { min_weight: 3.0, share: 0.01, min_triangles: 10 });
         assert!(mesh.triangles.len() > 5000);
         let mut edges: HashMap<(u32, u32), i32> = HashMap::new();
         for t in &mesh.triangles {

@@ -1,60 +1,63 @@
-//! Which vertices of the mesh a view sees: in the picture, turned towards it, not hidden by the mesh.
+//! Visibility of mesh vertices from a pose: in the image, facing the camera, not occluded by the mesh.
 
-use crate::camera::rig::{Pinhole, Rigid};
-use crate::tsdf::marching_cubes::Pieces;
+use crate::camera::pinhole::{Pinhole, Rigid};
+use crate::tsdf::components::Components;
+use firmware_config::tuning::SurfaceCoverageTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::{Mesh, Pose};
 
-/// A vertex is seen if the angle between its normal and the direction to the camera has a greater cosine (c2, relaxed).
-/// A little below what depth is accepted at (`fusion.max_slope`).
-const SEEN_COS: f32 = 0.17;
-/// Share of its depth by which a vertex may lie behind what hides it.
-const SLACK: f32 = 0.005;
-/// Triangles that nothing sees go from this many together on.
-const LEAST_PATCH: u32 = 64;
-/// Triangles nearer than this are not drawn, metres.
+/// Triangles closer than this are not drawn, metres.
 const NEAR_M: f32 = 0.05;
 
-/// The mesh as it hides itself from one place.
-pub struct View<'a> {
+/// Depth image of the mesh from one pose, for visibility tests.
+pub struct VisibilityMap<'a> {
     camera: &'a Pinhole,
     camera_from_world: Rigid,
     centre: Vec3,
-    /// Depth of the nearest vertex in each pixel.
+    /// `[pixel]`: depth of the nearest surface, metres; infinite without one.
     nearest: Vec<f32>,
+    min_cos: f32,
+    slack_share: f32,
 }
 
-impl<'a> View<'a> {
-    /// Draws the mesh as `camera` sees it from there.
-    pub fn new(mesh: &Mesh, world_from_camera: &Pose, camera: &'a Pinhole) -> Self {
+impl<'a> VisibilityMap<'a> {
+    /// Renders the depth of the mesh.
+    pub fn new(mesh: &Mesh, world_from_camera: &Pose, camera: &'a Pinhole, tuning: &SurfaceCoverageTuning) -> Self {
         let camera_from_world = Rigid::from(&world_from_camera.inverse());
         let mut nearest = vec![f32::INFINITY; camera.width * camera.height];
         for t in &mesh.triangles {
             draw(camera, t.map(|i| camera_from_world.apply(mesh.positions[i as usize])), &mut nearest);
         }
-        Self { camera, camera_from_world, centre: world_from_camera.translation.as_vec3(), nearest }
+        Self {
+            camera,
+            camera_from_world,
+            centre: world_from_camera.translation.as_vec3(),
+            nearest,
+            min_cos: tuning.min_cos as f32,
+            slack_share: tuning.depth_slack_share as f32,
+        }
     }
 
-    /// Cosine of the angle between the normal of a vertex and the direction to the camera, if it is seen.
-    pub fn sees(&self, position: Vec3, normal: Vec3) -> Option<f32> {
+    /// Cosine between the normal of a vertex and the direction to the camera; `None` if the vertex is not visible.
+    pub fn visible_cos(&self, position: Vec3, normal: Vec3) -> Option<f32> {
         let cos = (self.centre - position).normalize_or_zero().dot(normal);
         let p = self.camera_from_world.apply(position);
-        let pixel = self.camera.pixel(p).filter(|_| cos > SEEN_COS)?;
-        // A slanted surface spans some depth between a pixel's middle and its corner.
+        let pixel = self.camera.pixel(p).filter(|_| cos > self.min_cos)?;
+        // The depth of a slanted surface varies between the centre and the corner of a pixel.
         let slant = libm::sqrtf((1.0 - cos * cos).max(0.0)) / cos;
-        let slack = p.z * (SLACK + libm::sqrtf(0.5) * slant / self.camera.fx);
+        let slack = p.z * (self.slack_share + libm::sqrtf(0.5) * slant / self.camera.fx);
         (p.z < self.nearest[pixel] + slack).then_some(cos)
     }
 }
 
-/// Depth of a triangle, in camera coordinates, at the middles of the pixels it covers. One that is nearly in the camera is
-/// left out.
+/// Renders the depth of a triangle (camera axes) at the centres of the pixels that it covers; triangles closer than
+/// [`NEAR_M`] are left out.
 fn draw(camera: &Pinhole, corners: [Vec3; 3], nearest: &mut [f32]) {
     if corners.iter().any(|p| p.z < NEAR_M) {
         return;
     }
-    // Inverse depth is linear in the picture.
+    // Inverse depth is linear in the image.
     let [a, b, c] = corners.map(|p| {
         let w = 1.0 / p.z;
         Vec3::new(camera.fx * p.x * w + camera.cx, camera.fy * p.y * w + camera.cy, w)
@@ -84,21 +87,27 @@ fn draw(camera: &Pinhole, corners: [Vec3; 3], nearest: &mut [f32]) {
     }
 }
 
-/// Drops patches of triangles of which none of the `poses` sees two corners. Where rays pass the rim of a thing, the room
-/// behind its front that they did not reach ends against the room beside it that they saw free: a wall along the rays, as
-/// deep as the truncation, which no camera faced and nothing measured. A few such triangles among others are noise in
-/// their normals, and stay. Vertices stay.
-pub fn drop_unseen(mesh: &mut Mesh, poses: impl Iterator<Item = Pose>, camera: &Pinhole) {
+/// Drops patches of triangles of which no pose sees two corners. Behind the rim of an object, unobserved space borders on
+/// space observed as free: marching cubes puts a wall there, along the rays and as deep as the truncation, that no camera
+/// faced and no reading measured. Patches of fewer than `surface_coverage.min_unseen_triangles` are noise in the normals and
+/// stay. Vertices stay.
+pub fn drop_unseen(
+    mesh: &mut Mesh,
+    poses: impl Iterator<Item = Pose>,
+    camera: &Pinhole,
+    tuning: &SurfaceCoverageTuning,
+) {
     let poses: Vec<Pose> = poses.collect();
     let mut seen = vec![false; mesh.positions.len()];
-    // As many views at a time as there are threads.
+    // As many poses at once as there are threads.
     for poses in poses.chunks(rayon::current_num_threads()) {
-        let views: Vec<View<'_>> = poses.par_iter().map(|pose| View::new(mesh, pose, camera)).collect();
+        let maps: Vec<VisibilityMap<'_>> =
+            poses.par_iter().map(|pose| VisibilityMap::new(mesh, pose, camera, tuning)).collect();
         seen.par_iter_mut().zip(&mesh.positions).zip(&mesh.normals).for_each(|((seen, p), n)| {
-            *seen = *seen || views.iter().any(|v| v.sees(*p, *n).is_some());
+            *seen = *seen || maps.iter().any(|m| m.visible_cos(*p, *n).is_some());
         });
     }
     let unseen = |t: &[u32; 3]| t.iter().filter(|v| !seen[**v as usize]).count() >= 2;
-    let mut patches = Pieces::new(mesh.positions.len(), mesh.triangles.iter().filter(|t| unseen(t)));
-    mesh.triangles.retain(|t| !unseen(t) || patches.triangles(t[0]) < LEAST_PATCH);
+    let mut patches = Components::new(mesh.positions.len(), mesh.triangles.iter().filter(|t| unseen(t)));
+    mesh.triangles.retain(|t| !unseen(t) || patches.triangles(t[0]) < tuning.min_unseen_triangles);
 }
