@@ -35,9 +35,9 @@ fn main() {
     let scene = RayScene::new(&estimate.mesh);
     println!("{} vertices, 640x480, {} threads", estimate.mesh.positions.len(), rayon::current_num_threads());
 
-    let around = || (complete(&estimate.light, &[]), ObservedBackground::default());
+    let around = || (complete(&estimate.light, &[], &config.tuning.surroundings), ObservedBackground::default());
     let nothing = vec![false; estimate.mesh.positions.len()];
-    let before = change(&estimate, around(), cut(&estimate.mesh, &nothing), &[], &config);
+    let before = change(&estimate, around(), cut(&estimate.mesh, &nothing, &config.tuning.inpainting), &[], &config);
     let photo = model(&before, &view, &config);
     let over = |name: &str, make: &dyn Fn() -> Changed| {
         let (cpu, wall) = (processor_s(), Instant::now());
@@ -50,11 +50,20 @@ fn main() {
     object.material = vec![0; object.mesh.triangles.len()];
     object.place(Vec3::new(-0.2, -0.1, 0.05), 0.0, 0.05);
     over("insert over a photo", &|| {
-        change(&estimate, around(), cut(&estimate.mesh, &nothing), std::slice::from_ref(&object), &config)
+        change(
+            &estimate,
+            around(),
+            cut(&estimate.mesh, &nothing, &config.tuning.inpainting),
+            std::slice::from_ref(&object),
+            &config,
+        )
     });
     let low = Removal::Box(Vec3::new(0.0, 0.0, 0.001), Vec3::splat(1.0));
-    let gone = select(&estimate.mesh, &estimate.segment, &scene, &[low]).expect("the ball is there");
-    over("remove from a photo", &|| change(&estimate, around(), cut(&estimate.mesh, &gone), &[], &config));
+    let gone =
+        select(&estimate.mesh, &estimate.segment, &scene, &[low], &config.tuning.removal).expect("the ball is there");
+    over("remove from a photo", &|| {
+        change(&estimate, around(), cut(&estimate.mesh, &gone, &config.tuning.inpainting), &[], &config)
+    });
 
     let (cpu, wall) = (processor_s(), Instant::now());
     let relight = Relight::new(&before, &config, &|_| {});

@@ -96,7 +96,8 @@ impl Config {
                 .or_else(|| self.estimator.tuning.set(section, field, value))
                 .or_else(|| self.capture.tuning.set(section, field, value))
                 .or_else(|| self.daemon.tuning.set(section, field, value))
-                .or_else(|| self.kinect.tuning.set(section, field, value)),
+                .or_else(|| self.kinect.tuning.set(section, field, value))
+                .or_else(|| self.reality.tuning.set(section, field, value)),
         };
         outcome.unwrap_or_else(|| Err(self.unknown(&format!("{section}.{field}"))))
     }
@@ -123,6 +124,7 @@ impl Config {
             self.kinect.tuning.settings(),
             self.camera.settings(),
             self.reality.settings(),
+            self.reality.tuning.settings(),
         ]
         .concat()
     }

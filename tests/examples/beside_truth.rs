@@ -143,8 +143,8 @@ impl View {
             world_from_camera: keyframe.world_from_camera,
             gain: Vec3::ONE,
         };
-        let nothing = cut(&estimate.mesh, &vec![false; estimate.mesh.positions.len()]);
-        let around = (complete(&estimate.light, &[]), ObservedBackground::default());
+        let nothing = cut(&estimate.mesh, &vec![false; estimate.mesh.positions.len()], &config.tuning.inpainting);
+        let around = (complete(&estimate.light, &[], &config.tuning.surroundings), ObservedBackground::default());
         let changed = change(estimate, around, nothing, &[], &config);
         let relight = Relight::new(&changed, &config, &|_| {});
         let kept = relight.view(&changed, &viewpoint, &config);

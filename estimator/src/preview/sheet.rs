@@ -9,6 +9,7 @@ use crate::preview::spheres;
 use crate::rays::RayScene;
 use crate::render::lighting::completion::complete;
 use crate::render::lighting::observed_background::surroundings;
+use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::scan::Scan;
@@ -120,7 +121,9 @@ fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
 fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::render::lighting::environment::Environment {
     let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
     let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
-    complete(&result.light, &surroundings(result, &RayScene::new(&result.mesh), &pictures))
+    let tuning = SurroundingsTuning::default();
+    let observed = surroundings(result, &RayScene::new(&result.mesh), &pictures, &tuning);
+    complete(&result.light, &observed, &tuning)
 }
 
 /// Lays the panels out, the facts in the last place.

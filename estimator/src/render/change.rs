@@ -11,26 +11,10 @@ use crate::render::lighting::observed_background::ObservedBackground;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
 use firmware_config::RealityConfig;
+use firmware_config::tuning::CompositingTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::Estimate;
-
-/// GGX width of a recovered glossy surface, whose roughness Eq. (13) does not tell.
-const GLOSS_ALPHA: f32 = 0.2;
-/// Share of irradiance below which a change is not followed: an eighth of a level in a bright 8-bit picture.
-pub const SMALLEST_REACH: f32 = 1e-3;
-/// Share of irradiance from which on a change is followed with all rays; the error of a smaller one shrinks with it.
-const FULL_REACH: f32 = 0.1;
-/// No fewer rays than this share.
-const FEWEST_RAYS: f32 = 0.4;
-/// A surface that gets less than this share of the light it would get in the open is not asked for its colour.
-const DARK: f32 = 0.1;
-/// Rounds of averaging over neighbours of the level between albedo × light and what was seen.
-const LEVEL_SWEEPS: usize = 8;
-/// Things inserted keep their light per vertex: edges longer than this many edges of the scene are split.
-const LONGEST_EDGE: f32 = 3.0;
-/// Triangles up to which they are split.
-const MAX_TRIANGLES: usize = 60_000;
 
 /// A scene with a change, and the light on its kept vertices.
 #[derive(Debug)]
@@ -63,10 +47,11 @@ impl Changed {
 
 /// The reconstructed surface as an object: albedo per vertex, a material per segment.
 #[must_use]
-pub fn scanned(estimate: &Estimate) -> Object {
+pub fn scanned(estimate: &Estimate, config: &RealityConfig) -> Object {
+    let alpha = config.tuning.compositing.gloss_alpha as f32;
     let material = |s: &recordings::result::Segment| Material {
         mirror: s.w_s.clamp(0.0, 1.0) as f32,
-        roughness: GLOSS_ALPHA.sqrt(),
+        roughness: alpha.sqrt(),
         ..Material::default()
     };
     Object {
@@ -87,7 +72,8 @@ pub fn change(
     inserted: &[Object],
     config: &RealityConfig,
 ) -> Changed {
-    let whole = scanned(estimate);
+    let tuning = &config.tuning.compositing;
+    let whole = scanned(estimate, config);
     let Cut { kept, first_patch, removed, removed_from } = cut;
     let graph = Graph::of(&kept);
 
@@ -115,7 +101,7 @@ pub fn change(
     let mut all = Object::default();
     for object in inserted {
         let mut object = object.clone();
-        object.subdivide(LONGEST_EDGE * kept.bvh.median_edge(), MAX_TRIANGLES);
+        object.subdivide(tuning.longest_edge as f32 * kept.bvh.median_edge(), tuning.max_triangles as usize);
         changes.extend(BoundingSphere::around(object.mesh.positions.iter().copied()));
         all.append(&object);
     }
@@ -155,6 +141,7 @@ fn light(
 ) -> Changed {
     let n = scene.kept.object.mesh.positions.len();
     let seed = config.seed;
+    let tuning = &config.tuning.compositing;
     let used = {
         let mut used = vec![false; n];
         scene.kept.object.mesh.triangles.iter().flatten().for_each(|&i| used[i as usize] = true);
@@ -162,14 +149,14 @@ fn light(
     };
     let reach: Vec<f32> =
         (0..n).into_par_iter().map(|v| if used[v] { scene.reach(&scene.kept.vertex_point(v)) } else { 0.0 }).collect();
-    let reached: Vec<bool> = reach.iter().map(|r| *r > SMALLEST_REACH).collect();
+    let reached: Vec<bool> = reach.iter().map(|r| *r > tuning.smallest_reach as f32).collect();
     let irradiance: Vec<Vec3> = (0..n)
         .into_par_iter()
         .map(|v| {
             if !reached[v] {
                 return Vec3::ZERO;
             }
-            let rays = rays(reach[v], config.vertex_rays);
+            let rays = rays(reach[v], config.vertex_rays, tuning);
             scene.gather(&scene.kept.vertex_point(v), Side::Before, rays, 0, hash(v as u32, seed))
         })
         .collect();
@@ -179,13 +166,18 @@ fn light(
     let removed = scene.removed.is_some();
     let near = near_removed(&scene, config.contact_edges as f32 * scene.kept.bvh.median_edge());
     let known: Vec<bool> = (0..n)
-        .map(|v| v < first_patch && seen[v] && (!reached[v] || (irradiance[v].min_element() > DARK * open && !near[v])))
+        .map(|v| {
+            v < first_patch
+                && seen[v]
+                && (!reached[v] || (irradiance[v].min_element() > tuning.dark_share as f32 * open && !near[v]))
+        })
         .collect();
     let asked: Vec<bool> = (0..n).map(|v| known[v] && reached[v]).collect();
     // Reflectance is albedo with continued texture, times a slowly varying level that many vertices determine.
     let mut albedo = scene.kept.object.color.clone();
     if removed {
-        continue_texture(&mut albedo, &known, &scene.kept.object.mesh, graph, scene.kept.bvh.median_edge());
+        let edge = scene.kept.bvh.median_edge();
+        continue_texture(&mut albedo, &known, &scene.kept.object.mesh, graph, edge, &config.tuning.inpainting);
     }
     let mut level: Vec<Vec3> = (0..n)
         .map(|v| {
@@ -194,7 +186,7 @@ fn light(
             if asked[v] { level.clamp(Vec3::splat(0.2), Vec3::splat(5.0)) } else { Vec3::ONE }
         })
         .collect();
-    smooth(&mut level, &asked, graph);
+    smooth(&mut level, &asked, graph, tuning.level_sweeps);
     inpaint(&mut level, &asked, graph);
     let reflectance: Vec<Vec3> = albedo.iter().zip(&level).map(|(a, l)| *a * *l).collect();
     let filled: Vec<bool> = (0..n).map(|v| reached[v] && !known[v]).collect();
@@ -210,7 +202,8 @@ fn light(
                 reflectance[v]
                     * scene.gather(&spot, Side::After, config.vertex_rays, 0, hash(v as u32, seed)).max(Vec3::ZERO)
             } else {
-                let change = scene.change(&spot, rays(reach[v], config.change_rays), hash(v as u32, seed ^ 0x51ed));
+                let change =
+                    scene.change(&spot, rays(reach[v], config.change_rays, tuning), hash(v as u32, seed ^ 0x51ed));
                 scene.kept.radiance[v] * ratio(irradiance[v], change)
             }
         })
@@ -222,15 +215,15 @@ fn light(
 
 /// Rays, of `most`, that give a change of this reach the same absolute error as `most` give a large one.
 #[must_use]
-pub fn rays(reach: f32, most: u32) -> u32 {
-    let share = reach / FULL_REACH;
+pub fn rays(reach: f32, most: u32, tuning: &CompositingTuning) -> u32 {
+    let share = reach / tuning.full_reach as f32;
     // Whole fours: rays take turns in how they are drawn.
-    ((most as f32 * (share * share).clamp(FEWEST_RAYS, 1.0)) as u32).next_multiple_of(4)
+    ((most as f32 * (share * share).clamp(tuning.fewest_rays as f32, 1.0)) as u32).next_multiple_of(4)
 }
 
 /// Averages `values` repeatedly over neighbours that are `known`.
-fn smooth(values: &mut [Vec3], known: &[bool], graph: &Graph) {
-    for _ in 0..LEVEL_SWEEPS {
+fn smooth(values: &mut [Vec3], known: &[bool], graph: &Graph, sweeps: u32) {
+    for _ in 0..sweeps {
         let mean = |v: usize| {
             let around = graph.neighbours(v).iter().map(|&i| i as usize).filter(|&i| known[i]);
             let (sum, count) = around.fold((values[v], 1.0), |(s, c), i| (s + values[i], c + 1.0));

@@ -17,19 +17,6 @@ use rayon::prelude::*;
 use recordings::types::{CameraModel, Pose};
 use std::f32::consts::TAU;
 
-/// Ratios nearer to 1 than this leave an 8-bit value as it is.
-const NO_CHANGE: f32 = 1e-3;
-/// Changes of light below this share are believed less and less: so much do lamps that were not seen err in their place.
-const BELIEVED: f32 = 0.03;
-/// Where light grows by these factors, the photo (mostly noise, contact and blur there) fades to the model.
-const DEEP: [f32; 2] = [1.5, 2.2];
-/// Half width in pixels of the filter over the change of light, which varies slowly along a surface.
-const FILTER: i32 = 2;
-/// Samples that show the model itself, per pixel.
-const MODEL_SAMPLES: u32 = 4;
-/// Rays of a glossy reflection per sample.
-const GLOSS_RAYS: u32 = 16;
-
 /// A camera with a pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Viewpoint {
@@ -80,22 +67,23 @@ struct Ground {
 #[must_use]
 pub fn model(changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> Vec<Vec3> {
     let (width, height) = view.size();
+    let tuning = &config.tuning.compositing;
     (0..width * height)
         .into_par_iter()
         .map(|i| {
             let seed = hash(i as u32, config.seed ^ 0x30de);
             let mut sum = Vec3::ZERO;
-            for s in 0..MODEL_SAMPLES {
+            for s in 0..tuning.model_samples {
                 let p = within_pixel(i, width, s, seed, config);
-                sum += surface(changed, view.eye(), view.ray(p.x, p.y), Side::Before, hash(seed, s));
+                sum += surface(changed, view.eye(), view.ray(p.x, p.y), Side::Before, hash(seed, s), tuning.gloss_rays);
             }
-            view.gain * sum / MODEL_SAMPLES as f32
+            view.gain * sum / tuning.model_samples as f32
         })
         .collect()
 }
 
 /// Light that comes back along a view ray, gloss of reconstructed surfaces included.
-fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32) -> Vec3 {
+fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32, gloss_rays: u32) -> Vec3 {
     use crate::render::before_after_scene::RayTarget;
     let scene = &changed.scene;
     match scene.meet(eye, d, side) {
@@ -108,7 +96,7 @@ fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32) -> Vec3
                 return light;
             }
             let spot = body.surface_point(eye, d, &hit);
-            light + scene.reflected(&spot, &brdf, d, side, 1, seed, GLOSS_RAYS, 0)
+            light + scene.reflected(&spot, &brdf, d, side, 1, seed, gloss_rays, 0)
         }
     }
 }
@@ -140,6 +128,8 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
         .collect();
     let uncovered = uncovered(&ground, width, height, config.removal_margin_px);
     let light = lighting(changed, &ground, &uncovered, width, height, config);
+    let tuning = &config.tuning.compositing;
+    let (fade_from, fade_to) = (tuning.fade_from as f32, tuning.fade_to as f32);
     let linear: Vec<(Vec3, bool)> = (0..width * height)
         .into_par_iter()
         .map(|i| {
@@ -147,9 +137,9 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
             let mut touched = false;
             // Where light changes by much, the photo mostly shows the contact itself: the surface is rendered instead.
             let deep =
-                light.ratio[i].map_or(0.0, |r| ((r.max_element() - DEEP[0]) / (DEEP[1] - DEEP[0])).clamp(0.0, 1.0));
+                light.ratio[i].map_or(0.0, |r| ((r.max_element() - fade_from) / (fade_to - fade_from)).clamp(0.0, 1.0));
             let share = uncovered[i].max(deep);
-            if let Some(ratio) = light.ratio[i].filter(|r| (*r - 1.0).abs().max_element() > NO_CHANGE) {
+            if let Some(ratio) = light.ratio[i].filter(|r| (*r - 1.0).abs().max_element() > tuning.no_change as f32) {
                 value *= ratio;
                 touched = true;
             }
@@ -246,11 +236,14 @@ fn lighting(
                 return (None, after);
             }
             let before = interpolate(&changed.irradiance, triangles[hit.triangle as usize], hit);
-            let change = scene.change(spot, rays(scene.reach(spot), config.pixel_change_rays), seed);
+            let change =
+                scene.change(spot, rays(scene.reach(spot), config.pixel_change_rays, &config.tuning.compositing), seed);
             let after = if uncovered[i] > 0.0 { after } else { (before + change).max(Vec3::ZERO) };
             (Some(ratio(before, change)), after)
         })
         .collect();
+    let half = config.tuning.compositing.filter_px as i32;
+    let small = config.tuning.compositing.small_change as f32;
     // Light varies slowly along a surface: neighbours on the same plane share their samples.
     let filtered: Vec<(Option<Vec3>, Vec3)> = (0..raw.len())
         .into_par_iter()
@@ -263,8 +256,8 @@ fn lighting(
             }
             let (x, y) = ((i % width) as i32, (i / width) as i32);
             let (mut r, mut wr, mut e, mut we) = (Vec3::ZERO, 0.0, Vec3::ZERO, 0.0);
-            for dy in -FILTER..=FILTER {
-                for dx in -FILTER..=FILTER {
+            for dy in -half..=half {
+                for dx in -half..=half {
                     let (qx, qy) = (x + dx, y + dy);
                     if qx < 0 || qy < 0 || qx >= width as i32 || qy >= height as i32 {
                         continue;
@@ -286,7 +279,7 @@ fn lighting(
                 }
             }
             (
-                raw[i].0.filter(|_| wr > 0.0).map(|_| shrink_small_change(r / wr)),
+                raw[i].0.filter(|_| wr > 0.0).map(|_| shrink_small_change(r / wr, small)),
                 if we > 0.0 { e / we } else { raw[i].1 },
             )
         })
@@ -295,9 +288,9 @@ fn lighting(
 }
 
 /// A ratio of light with small changes shrunk towards 1.
-fn shrink_small_change(ratio: Vec3) -> Vec3 {
+fn shrink_small_change(ratio: Vec3, small: f32) -> Vec3 {
     let d = ratio - 1.0;
-    d * d * d / (d * d + BELIEVED * BELIEVED) + 1.0
+    d * d * d / (d * d + small * small) + 1.0
 }
 
 /// Inserted objects in a pixel: their radiance times the share of the pixel they cover, and that share.

@@ -4,21 +4,25 @@
 //! that does it.
 
 mod association;
+mod compositing;
 mod depth_noise;
 mod distance_check;
 mod exposure;
 mod gravity;
+mod inpainting;
 mod keyframes;
 mod mesh;
 mod pose;
 mod preprocessing;
 mod relocalisation;
+mod removal;
 mod response;
 mod rotation_search;
 mod segmentation;
 mod session;
 mod supervision;
 mod surface_coverage;
+mod surroundings;
 mod timing;
 mod tracking;
 mod tracking_effort;
@@ -27,21 +31,25 @@ mod volume;
 use crate::settings::tuning;
 
 pub use association::AssociationTuning;
+pub use compositing::CompositingTuning;
 pub use depth_noise::{DepthNoise, DepthNoiseTuning};
 pub use distance_check::DistanceCheckTuning;
 pub use exposure::ExposureTuning;
 pub use gravity::GravityTuning;
+pub use inpainting::InpaintingTuning;
 pub use keyframes::KeyframesTuning;
 pub use mesh::MeshTuning;
 pub use pose::PoseTuning;
 pub use preprocessing::PreprocessingTuning;
 pub use relocalisation::RelocalisationTuning;
+pub use removal::RemovalTuning;
 pub use response::ResponseTuning;
 pub use rotation_search::RotationSearchTuning;
 pub use segmentation::SegmentationTuning;
 pub use session::SessionTuning;
 pub use supervision::SupervisionTuning;
 pub use surface_coverage::SurfaceCoverageTuning;
+pub use surroundings::SurroundingsTuning;
 pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
 pub use tracking_effort::TrackingEffortTuning;
@@ -114,5 +122,19 @@ tuning! {
     KinectTuning {
         /// Streaming.
         session: SessionTuning;
+    }
+}
+
+tuning! {
+    /// Thresholds of mixed-reality rendering.
+    RealityTuning {
+        /// Which vertices go with a removed object.
+        removal: RemovalTuning;
+        /// Holes and their texture.
+        inpainting: InpaintingTuning;
+        /// Light beyond the scan.
+        surroundings: SurroundingsTuning;
+        /// Light on the changed scene and its picture.
+        compositing: CompositingTuning;
     }
 }

@@ -22,6 +22,7 @@ use estimator::render::relight::{NewLight, Relight};
 use estimator::render::removal::select::{Removal, select};
 use estimator::render::view::{View, sees, views};
 use firmware_config::RealityConfig;
+use firmware_config::tuning::RemovalTuning;
 use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -54,14 +55,16 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
         return Err(Failure::Usage("the view looks away from the scan: nothing of it would be in the picture".into()));
     }
     let first = &views[0].viewpoint;
-    let gone = gone(args, &estimate, &scene, first)?;
-    let cut = cut(&estimate.mesh, &gone);
-    let objects = objects(args, &estimate, &cut.kept, first)?;
+    let gone = gone(args, &estimate, &scene, first, &config.tuning.removal)?;
+    let cut = cut(&estimate.mesh, &gone, &config.tuning.inpainting);
+    let objects = objects(args, &estimate, &cut.kept, first, &config)?;
     reporter.step(&step("light", 0.0, String::new()));
     let pictures: Vec<Option<RgbImage>> =
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
-    let known = surroundings(&estimate, &scene, &pictures);
-    let around = (complete(&estimate.light, &known), ObservedBackground::new(&estimate, pictures, &known));
+    let beyond = &config.tuning.surroundings;
+    let known = surroundings(&estimate, &scene, &pictures, beyond);
+    let around =
+        (complete(&estimate.light, &known, beyond), ObservedBackground::new(&estimate, pictures, &known, beyond));
     let changed = change(&estimate, around, cut, &objects, &config);
 
     let started = Instant::now();
@@ -124,26 +127,38 @@ fn picture_of(scan: Option<&Scan>, name: &str) -> Option<RgbImage> {
 }
 
 /// What is inserted, in its place on `mesh`: what stays of the scan.
-fn objects(args: &Render, estimate: &Estimate, mesh: &Mesh, view: &Viewpoint) -> Result<Vec<Object>, Failure> {
+fn objects(
+    args: &Render,
+    estimate: &Estimate,
+    mesh: &Mesh,
+    view: &Viewpoint,
+    config: &RealityConfig,
+) -> Result<Vec<Object>, Failure> {
     let mut objects = Vec::new();
     if args.insert.is_empty() {
         return Ok(objects);
     }
     let scene = RayScene::new(mesh);
     for insert in &args.insert {
-        let (mut object, odd) = load_object(insert, view, mesh, &scene)?;
+        let (mut object, odd) = load_object(insert, view, mesh, &scene, config)?;
         for o in odd {
             tracing::warn!("{o}");
         }
         if let Some(segment) = args.material {
-            give_material(&mut object, estimate, segment)?;
+            give_material(&mut object, estimate, segment, config)?;
         }
         objects.push(object);
     }
     Ok(objects)
 }
 
-fn gone(args: &Render, estimate: &Estimate, scene: &RayScene, view: &Viewpoint) -> Result<Vec<bool>, Failure> {
+fn gone(
+    args: &Render,
+    estimate: &Estimate,
+    scene: &RayScene,
+    view: &Viewpoint,
+    tuning: &RemovalTuning,
+) -> Result<Vec<bool>, Failure> {
     let removals: Vec<Removal> = args
         .remove
         .iter()
@@ -154,7 +169,7 @@ fn gone(args: &Render, estimate: &Estimate, scene: &RayScene, view: &Viewpoint) 
             }
         })
         .collect();
-    Ok(select(&estimate.mesh, &estimate.segment, scene, &removals)?)
+    Ok(select(&estimate.mesh, &estimate.segment, scene, &removals, tuning)?)
 }
 
 /// The keyframe's picture as bytes and as linear light, if it is wanted.

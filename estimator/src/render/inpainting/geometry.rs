@@ -2,14 +2,10 @@
 
 use crate::mesh::graph::Graph;
 use crate::render::inpainting::membrane::SWEEPS;
+use firmware_config::tuning::InpaintingTuning;
 use glam::Vec3;
 use recordings::types::{Mesh, vertex_normals};
 use std::collections::BTreeMap;
-
-/// An open border half of which lies within this many edges of a removed piece was hidden by it.
-const HIDDEN: f32 = 2.0;
-/// Of a longer one that touches the piece, what lies within this many edges was.
-const CONTACT: f32 = 4.0;
 
 /// A mesh cut in two. Vertices of `kept` are those of the whole, in order, then the patches'; `removed` has its own.
 #[derive(Debug)]
@@ -26,7 +22,7 @@ pub struct Cut {
 
 /// Cuts the vertices `gone` away and closes the holes that this leaves.
 #[must_use]
-pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
+pub fn cut(mesh: &Mesh, gone: &[bool], tuning: &InpaintingTuning) -> Cut {
     let goes = |t: &[u32; 3]| t.iter().any(|&i| gone[i as usize]);
     let (away, stay): (Vec<[u32; 3]>, Vec<[u32; 3]>) = mesh.triangles.iter().partition(|t| goes(t));
     let mut index = vec![u32::MAX; mesh.positions.len()];
@@ -51,7 +47,7 @@ pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
         .collect();
     edges.sort_by(f32::total_cmp);
     if let Some(edge) = edges.get(edges.len() / 2) {
-        for ring in rings(&kept, &removed, &index, *edge) {
+        for ring in rings(&kept, &removed, &index, *edge, tuning) {
             close(&mut kept, &ring);
         }
     }
@@ -60,7 +56,8 @@ pub fn cut(mesh: &Mesh, gone: &[bool]) -> Cut {
 
 /// Open borders of the kept mesh that the removed part left or hid: an object's contact with its support is seldom
 /// observed, so a hole was there before. Against the direction of the triangles that stay. `index` is not `u32::MAX` at vertices of what was removed.
-fn rings(kept: &Mesh, removed: &Mesh, index: &[u32], edge: f32) -> Vec<Vec<u32>> {
+fn rings(kept: &Mesh, removed: &Mesh, index: &[u32], edge: f32, tuning: &InpaintingTuning) -> Vec<Vec<u32>> {
+    let (hidden_edges, touching_edges) = (tuning.hidden_edges as f32, tuning.touching_edges as f32);
     let graph = Graph::of(removed);
     let mut done = vec![false; removed.positions.len()];
     let mut boxes: Vec<(Vec3, Vec3)> = Vec::new();
@@ -78,11 +75,11 @@ fn rings(kept: &Mesh, removed: &Mesh, index: &[u32], edge: f32) -> Vec<Vec<u32>>
     let mut rings: Vec<Vec<u32>> = Vec::new();
     for border in borders(&kept.triangles) {
         let touches = border.iter().any(|&v| index[v as usize] != u32::MAX);
-        let hidden = || border.iter().filter(|v| about(**v, HIDDEN)).count() * 2 >= border.len();
+        let hidden = || border.iter().filter(|v| about(**v, hidden_edges)).count() * 2 >= border.len();
         if hidden() {
             rings.push(border);
         } else if touches {
-            rings.push(border.into_iter().filter(|v| about(*v, CONTACT)).collect());
+            rings.push(border.into_iter().filter(|v| about(*v, touching_edges)).collect());
         }
     }
     rings.retain(|ring| ring.len() >= 3);

@@ -4,37 +4,37 @@
 
 use crate::mesh::graph::Graph;
 use crate::render::inpainting::membrane::inpaint;
+use firmware_config::tuning::InpaintingTuning;
 use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
 use std::f32::consts::TAU;
 
-/// Holes of fewer vertices show no texture.
-const SMALLEST: usize = 24;
 /// Directions in which a piece is looked for, and distances in radii of the hole.
 const DIRECTIONS: usize = 24;
 const DISTANCES: [f32; 4] = [1.6, 2.1, 2.7, 3.5];
 /// Vertices at which a piece is judged.
 const PROBES: usize = 240;
-/// Share of the hole that a piece has to cover.
-const COVERAGE: f32 = 0.97;
-/// Largest spread of the log ratio along the border under which a piece is the same texture.
-const LARGEST_SPREAD: f32 = 0.35;
-/// Normals of one surface agree to this cosine.
-const SAME_SURFACE: f32 = 0.8;
 
 /// The known vertices in a grid, found by position.
 struct KnownSurface<'a> {
     mesh: &'a Mesh,
     values: Vec<Vec3>,
     cell: f32,
+    /// Normals of one surface agree to this cosine.
+    same_surface: f32,
     cells: BTreeMap<[i32; 3], Vec<u32>>,
 }
 
 impl<'a> KnownSurface<'a> {
-    fn new(mesh: &'a Mesh, values: &[Vec3], known: &[bool], edge: f32) -> Self {
-        let mut all =
-            Self { mesh, values: values.to_vec(), cell: 1.5 * edge.max(f32::MIN_POSITIVE), cells: BTreeMap::new() };
+    fn new(mesh: &'a Mesh, values: &[Vec3], known: &[bool], edge: f32, same_surface: f32) -> Self {
+        let mut all = Self {
+            mesh,
+            values: values.to_vec(),
+            cell: 1.5 * edge.max(f32::MIN_POSITIVE),
+            same_surface,
+            cells: BTreeMap::new(),
+        };
         for v in (0..known.len()).filter(|&v| known[v]) {
             all.cells.entry(all.cell_of(mesh.positions[v])).or_default().push(v as u32);
         }
@@ -53,7 +53,7 @@ impl<'a> KnownSurface<'a> {
             let key = [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1];
             for &v in self.cells.get(&key).into_iter().flatten() {
                 let distance = self.mesh.positions[v as usize].distance(p) / self.cell;
-                if distance < 1.0 && self.mesh.normals[v as usize].dot(normal) > SAME_SURFACE {
+                if distance < 1.0 && self.mesh.normals[v as usize].dot(normal) > self.same_surface {
                     let w = (1.0 - distance) / (distance + 0.05);
                     (sum, weight) = (sum + self.values[v as usize] * w, weight + w);
                 }
@@ -65,8 +65,15 @@ impl<'a> KnownSurface<'a> {
 
 /// Fills `values` where they are not `known`: a membrane everywhere, texture where a piece of the surface beside fits.
 /// `edge` is the mesh's median edge in metres.
-pub fn continue_texture(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph: &Graph, edge: f32) {
-    let around = KnownSurface::new(mesh, values, known, edge);
+pub fn continue_texture(
+    values: &mut [Vec3],
+    known: &[bool],
+    mesh: &Mesh,
+    graph: &Graph,
+    edge: f32,
+    tuning: &InpaintingTuning,
+) {
+    let around = KnownSurface::new(mesh, values, known, edge, tuning.same_surface as f32);
     inpaint(values, known, graph);
     let mut done = known.to_vec();
     for start in 0..known.len() {
@@ -74,17 +81,24 @@ pub fn continue_texture(values: &mut [Vec3], known: &[bool], mesh: &Mesh, graph:
             continue;
         }
         let hole = graph.component(start, &mut done);
-        if hole.len() >= SMALLEST {
-            clone_into(&hole, values, known, &around, graph);
+        if hole.len() >= tuning.smallest_hole as usize {
+            clone_into(&hole, values, known, &around, graph, tuning);
         }
     }
 }
 
-fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &KnownSurface, graph: &Graph) {
+fn clone_into(
+    hole: &[usize],
+    values: &mut [Vec3],
+    known: &[bool],
+    around: &KnownSurface,
+    graph: &Graph,
+    tuning: &InpaintingTuning,
+) {
     let mesh = around.mesh;
     let sum: Vec3 = hole.iter().map(|&v| mesh.normals[v]).sum();
     let normal = sum / hole.len() as f32;
-    if normal.length() < SAME_SURFACE {
+    if normal.length() < tuning.same_surface as f32 {
         return;
     }
     let normal = normal.normalize();
@@ -106,7 +120,7 @@ fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Know
         let shift = (t * c + b * s) * (radius * DISTANCES[i / DIRECTIONS]);
         let source = |v: usize| around.at(mesh.positions[v] + shift, normal);
         let covered = inside.iter().chain(&rim).filter(|&&v| source(v).is_some()).count();
-        if (covered as f32) < COVERAGE * (inside.len() + rim.len()) as f32 {
+        if (covered as f32) < tuning.coverage as f32 * (inside.len() + rim.len()) as f32 {
             continue;
         }
         let logs: Vec<f32> = rim.iter().filter_map(|&v| Some(log_ratio(values[v], source(v)?))).collect();
@@ -114,7 +128,7 @@ fn clone_into(hole: &[usize], values: &mut [Vec3], known: &[bool], around: &Know
         let spread = (logs.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / logs.len().max(1) as f32).sqrt();
         // Another material is another level, too.
         let cost = spread + 0.5 * mean.abs();
-        if cost < LARGEST_SPREAD && best.is_none_or(|(least, _)| cost < least) {
+        if cost < tuning.largest_spread as f32 && best.is_none_or(|(least, _)| cost < least) {
             best = Some((cost, shift));
         }
     }
@@ -171,7 +185,7 @@ mod tests {
         };
         let (mut smooth, mut textured) = (blank.clone(), blank);
         inpaint(&mut smooth, &known, &graph);
-        continue_texture(&mut textured, &known, &mesh, &graph, 1.0);
+        continue_texture(&mut textured, &known, &mesh, &graph, 1.0, &InpaintingTuning::default());
         assert!(error(&textured) < 0.4 * error(&smooth), "{} {}", error(&textured), error(&smooth));
     }
 }

@@ -7,32 +7,18 @@
 use crate::numerics::{robust, sh};
 use crate::render::lighting::environment::{Environment, SIDE, direction};
 use crate::render::lighting::observed_background::ObservedTexel;
+use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::Light;
 
-/// Share of a peak that one step moves into a lamp.
-const LOOP_GAIN: f64 = 0.25;
-/// Maximum number of lamps.
-const MAX_LAMPS: usize = 120;
 /// Directions that are searched for peaks.
 const DIRECTIONS: usize = 4000;
-/// Width of a lamp (radian, standard deviation) at `bands` = 1; the more bands, the better it is located.
-const LAMP_WIDTH: f64 = 0.35;
-/// Peaks below this share of the first become no lamp.
-const FAINTEST: f64 = 0.08;
-/// Share of the unseen light that the even level may take.
-const EVEN_SHARE: f64 = 0.7;
-/// Bands of the residual after the lamps that are kept, with falling weight (a Hann window): few harmonics ring, each
-/// channel separately.
-const RESIDUAL_BANDS: f64 = 5.0;
-/// No direction is darker than this share of the even level.
-const FLOOR: f32 = 0.25;
 const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// Light of a result with the background that its keyframes observed (`[texel]`, or empty).
 #[must_use]
-pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
+pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTuning) -> Environment {
     let bands = (light.bands() as usize).min(sh::MAX_BANDS);
     if bands < 2 {
         return Environment::from_light(light);
@@ -47,7 +33,7 @@ pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
     let (seen_mean, unseen_mean) = (seen.project(1)[0], unseen.project(1)[0]);
     let middle = median(known);
     let even: [f64; 3] = std::array::from_fn(|c| {
-        let left = EVEN_SHARE * (total[0][c] - seen_mean[c]) / unseen_mean[c].max(1e-9);
+        let left = tuning.even_share * (total[0][c] - seen_mean[c]) / unseen_mean[c].max(1e-9);
         middle.map_or(0.5 * left, |m| m[c]).min(left).max(0.0)
     });
     let even = Vec3::from(even.map(|x| x as f32));
@@ -58,14 +44,14 @@ pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
     let mut rest: Vec<[f64; 3]> =
         total.iter().zip(explained).map(|(t, e)| std::array::from_fn(|c| t[c] - e[c])).collect();
 
-    let lamps = clean(&mut rest, bands, |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5);
-    let width = LAMP_WIDTH / bands as f64;
+    let lamps = clean(&mut rest, bands, tuning, |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5);
+    let width = tuning.lamp_width_rad / bands as f64;
     let sharpness = (1.0 / (width * width)) as f32;
     // ∫ exp(s (cos − 1)) dω = 2π (1 − e^(−2s)) / s.
     let peak = sharpness / std::f32::consts::TAU;
     for (k, r) in rest.iter_mut().enumerate() {
-        let l = (k.isqrt() as f64).min(RESIDUAL_BANDS);
-        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / RESIDUAL_BANDS)));
+        let l = (k.isqrt() as f64).min(tuning.residual_bands);
+        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / tuning.residual_bands)));
     }
     let texels: Vec<Vec3> = (0..SIDE * SIDE)
         .into_par_iter()
@@ -79,7 +65,7 @@ pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
                 }
             }
             let clipped = known.get(i).is_some_and(|k| k.clipped && k.agreement > 0.0);
-            let inferred = within(extrapolated(i) + sum, even);
+            let inferred = within(extrapolated(i) + sum, even, tuning.floor as f32);
             let inferred = if clipped { inferred.max(radiance(i)) } else { inferred };
             inferred.lerp(radiance(i), agreement(i))
         })
@@ -89,10 +75,10 @@ pub fn complete(light: &Light, known: &[ObservedTexel]) -> Environment {
 
 /// Few bands ring, and each channel does so for itself: what falls below its floor is drawn towards the even level's hue
 /// at its own luminance, until no channel does.
-fn within(light: Vec3, even: Vec3) -> Vec3 {
+fn within(light: Vec3, even: Vec3, lowest: f32) -> Vec3 {
     let luminance = |v: Vec3| v.dot(Vec3::from(LUMINANCE.map(|x| x as f32)));
-    let floor = even * FLOOR;
-    let level = (luminance(light) / luminance(even).max(f32::MIN_POSITIVE)).max(FLOOR);
+    let floor = even * lowest;
+    let level = (luminance(light) / luminance(even).max(f32::MIN_POSITIVE)).max(lowest);
     let grey = even * level;
     let share = (0..3).fold(1.0f32, |t, c| {
         if light[c] >= floor[c] { t } else { t.min((grey[c] - floor[c]) / (grey[c] - light[c]).max(f32::MIN_POSITIVE)) }
@@ -108,7 +94,12 @@ fn median(known: &[ObservedTexel]) -> Option<[f64; 3]> {
 }
 
 /// Moves peaks of `rest` into lamps: direction and RGB flux.
-fn clean(rest: &mut [[f64; 3]], bands: usize, may: impl Fn(Vec3) -> bool) -> Vec<(Vec3, Vec3)> {
+fn clean(
+    rest: &mut [[f64; 3]],
+    bands: usize,
+    tuning: &SurroundingsTuning,
+    may: impl Fn(Vec3) -> bool,
+) -> Vec<(Vec3, Vec3)> {
     let k = bands * bands;
     let directions: Vec<_> = sh::even_directions(DIRECTIONS).into_iter().filter(|d| may(d.as_vec3())).collect();
     let basis: Vec<f64> = directions
@@ -121,7 +112,7 @@ fn clean(rest: &mut [[f64; 3]], bands: usize, may: impl Fn(Vec3) -> bool) -> Vec
         .collect();
     let mut lamps: Vec<(Vec3, Vec3)> = Vec::new();
     let mut first = None;
-    for _ in 0..MAX_LAMPS {
+    for _ in 0..tuning.max_lamps {
         let luminance: Vec<f64> = rest.iter().map(|r| (0..3).map(|c| LUMINANCE[c] * r[c]).sum()).collect();
         let value = |row: &[f64]| -> f64 { row.iter().zip(&luminance).map(|(y, l)| y * l).sum() };
         let Some((best, brightest)) =
@@ -132,14 +123,14 @@ fn clean(rest: &mut [[f64; 3]], bands: usize, may: impl Fn(Vec3) -> bool) -> Vec
             break;
         };
         let first = *first.get_or_insert(brightest);
-        if brightest <= FAINTEST * first || brightest <= 0.0 {
+        if brightest <= tuning.faintest_lamp * first || brightest <= 0.0 {
             break;
         }
         let y = &basis[best * k..(best + 1) * k];
         // A lamp of flux 1 shows as Σ Y_k(ω') Y_k(ω), bands² / 4π at its own place.
         let unit = k as f64 / (4.0 * std::f64::consts::PI);
         let here: [f64; 3] = std::array::from_fn(|c| y.iter().zip(rest.iter()).map(|(y, r)| y * r[c]).sum());
-        let flux = here.map(|h| (LOOP_GAIN * h / unit).max(0.0));
+        let flux = here.map(|h| (tuning.loop_gain * h / unit).max(0.0));
         for (r, y) in rest.iter_mut().zip(y) {
             *r = std::array::from_fn(|c| r[c] - flux[c] * y);
         }
@@ -157,7 +148,7 @@ mod tests {
         let at = Vec3::new(0.48, 0.36, 0.8);
         let truth = Environment::from_fn(|d| Vec3::splat(0.3) + Vec3::ONE * if d.dot(at) > 0.985 { 60.0 } else { 0.0 });
         let light = Light { coefficients: truth.project(5), ..Light::default() };
-        let found = complete(&light, &[]);
+        let found = complete(&light, &[], &SurroundingsTuning::default());
         assert!(found.radiance(at).y > 10.0 * Environment::from_light(&light).radiance(-at).y.max(0.1));
         let back = found.project(3);
         for (a, b) in back.iter().zip(&light.coefficients) {

@@ -3,25 +3,11 @@
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
 use crate::render::lighting::environment::{Environment, SIDE, texel};
+use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::RgbImage;
-
-/// Pixels between samples: finer than a texel of the environment.
-const STEP: u32 = 3;
-/// Pixels around a sample that must also miss the mesh: its outline is blurred and its pose inexact.
-const CLEARANCE: f64 = 4.0;
-/// 8-bit values from which a channel counts as clipped: the radiance is a lower bound.
-const CLIPPED: u8 = 252;
-/// Maximum number of observed directions to extrapolate from.
-const CONTINUED_FROM: usize = 400;
-/// Sharpness of their weight exp(s (cos − 1)): falls to 1/e at 18°.
-const CONTINUED_SHARPNESS: f32 = 20.0;
-/// Sum of their weights (1 = observed in all directions) at which extrapolation counts half.
-const NEAR: f32 = 0.01;
-/// Relative spread between keyframes at which a direction shows something near, not the background.
-const SPREAD: f32 = 0.3;
 
 /// Radiance of one texel of the surroundings.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -50,6 +36,7 @@ pub fn ray(keyframe: &ResultKeyframe, u: f64, v: f64) -> Vec3 {
 pub struct ObservedBackground {
     views: Vec<(ResultKeyframe, RgbImage)>,
     table: Vec<f32>,
+    clearance_px: f64,
     /// Extrapolation where no keyframe looked.
     continued: Option<Environment>,
 }
@@ -57,11 +44,16 @@ pub struct ObservedBackground {
 impl ObservedBackground {
     /// From pictures, one a keyframe (`None` where there is none).
     #[must_use]
-    pub fn new(estimate: &Estimate, pictures: Vec<Option<RgbImage>>, known: &[ObservedTexel]) -> Self {
+    pub fn new(
+        estimate: &Estimate,
+        pictures: Vec<Option<RgbImage>>,
+        known: &[ObservedTexel],
+        tuning: &SurroundingsTuning,
+    ) -> Self {
         let views = estimate.keyframes.iter().zip(pictures).filter_map(|(k, p)| Some((k.clone(), p?))).collect();
         let extrapolated = || Environment::from_texels(known.iter().map(|k| k.extrapolated).collect());
         let continued = known.iter().any(|k| k.proximity > 0.0).then(extrapolated);
-        Self { views, table: estimate.response.linear_table().to_vec(), continued }
+        Self { views, table: estimate.response.linear_table().to_vec(), clearance_px: tuning.clearance_px, continued }
     }
 
     /// Radiance from beyond the scan in a unit direction: per channel the median of the keyframes that look there past
@@ -94,7 +86,7 @@ impl ObservedBackground {
         let (w, h) = (f64::from(picture.width), f64::from(picture.height));
         let inside = x >= 0.0 && y >= 0.0 && x + 1.0 < w && y + 1.0 < h;
         let misses = |dx: f64, dy: f64| !blocks(eye, ray(keyframe, u + dx, v + dy));
-        let c = CLEARANCE;
+        let c = self.clearance_px;
         if !inside || !misses(0.0, 0.0) || !misses(-c, 0.0) || !misses(c, 0.0) || !misses(0.0, -c) || !misses(0.0, c) {
             return None;
         }
@@ -110,9 +102,10 @@ impl ObservedBackground {
 }
 
 /// Extrapolates the observed radiance smoothly into all directions.
-fn extrapolate(known: &mut [ObservedTexel]) {
+fn extrapolate(known: &mut [ObservedTexel], tuning: &SurroundingsTuning) {
+    let sharpness = tuning.extrapolation_sharpness as f32;
     let seen: Vec<usize> = (0..known.len()).filter(|&i| known[i].agreement > 0.5).collect();
-    let step = seen.len().div_ceil(CONTINUED_FROM).max(1);
+    let step = seen.len().div_ceil(tuning.extrapolated_from as usize).max(1);
     let few: Vec<(Vec3, Vec3)> = seen
         .iter()
         .step_by(step)
@@ -122,37 +115,44 @@ fn extrapolate(known: &mut [ObservedTexel]) {
         return;
     }
     // Each stands for `step` texels; the influence of a whole sphere of them is 2π / sharpness.
-    let all = CONTINUED_SHARPNESS * 2.0 * step as f32 / (SIDE * SIDE) as f32;
+    let all = sharpness * 2.0 * step as f32 / (SIDE * SIDE) as f32;
     known.par_iter_mut().enumerate().for_each(|(i, k)| {
         let d = crate::render::lighting::environment::direction(i);
         // Far from every observed direction all weights are small and equal.
         let weighted = few.iter().map(|(at, r)| {
-            let w = libm::expf(CONTINUED_SHARPNESS * (d.dot(*at) - 1.0));
+            let w = libm::expf(sharpness * (d.dot(*at) - 1.0));
             (*r * (1e-6 + w), w)
         });
         let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
         k.extrapolated = sum / (1e-6 * few.len() as f32 + weight);
         let influence = all * weight;
-        k.proximity = influence / (influence + NEAR);
+        k.proximity = influence / (influence + tuning.half_weight as f32);
     });
 }
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
 #[must_use]
-pub fn surroundings(estimate: &Estimate, scene: &RayScene, pictures: &[Option<RgbImage>]) -> Vec<ObservedTexel> {
+pub fn surroundings(
+    estimate: &Estimate,
+    scene: &RayScene,
+    pictures: &[Option<RgbImage>],
+    tuning: &SurroundingsTuning,
+) -> Vec<ObservedTexel> {
     let table = estimate.response.linear_table();
     let views: Vec<Vec<(usize, Vec3, bool)>> = estimate
         .keyframes
         .par_iter()
         .zip(pictures)
-        .map(|(keyframe, picture)| picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table)))
+        .map(|(keyframe, picture)| {
+            picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table, tuning))
+        })
         .collect();
     let mut samples: Vec<Vec<(Vec3, bool)>> = vec![Vec::new(); SIDE * SIDE];
     for (i, radiance, clipped) in views.into_iter().flatten() {
         samples[i].push((radiance, clipped));
     }
-    let mut known: Vec<ObservedTexel> = samples.par_iter().map(|s| agree(s)).collect();
-    extrapolate(&mut known);
+    let mut known: Vec<ObservedTexel> = samples.par_iter().map(|s| agree(s, tuning.spread as f32)).collect();
+    extrapolate(&mut known, tuning);
     known
 }
 
@@ -172,18 +172,19 @@ fn one_view(
     picture: &RgbImage,
     scene: &RayScene,
     table: &[f32; 256],
+    tuning: &SurroundingsTuning,
 ) -> Vec<(usize, Vec3, bool)> {
     let eye = keyframe.world_from_camera.translation.as_vec3();
     let gain = Vec3::from(keyframe.gain.map(|g| g as f32)).max(Vec3::splat(1e-9));
     let mut found = Vec::new();
-    for y in (0..picture.height).step_by(STEP as usize) {
-        for x in (0..picture.width).step_by(STEP as usize) {
+    for y in (0..picture.height).step_by(tuning.sample_step_px as usize) {
+        for x in (0..picture.width).step_by(tuning.sample_step_px as usize) {
             let misses = |dx: f64, dy: f64| !scene.occluded(eye, ray(keyframe, f64::from(x) + dx, f64::from(y) + dy));
-            let c = CLEARANCE;
+            let c = tuning.clearance_px;
             if misses(0.0, 0.0) && misses(-c, 0.0) && misses(c, 0.0) && misses(0.0, -c) && misses(0.0, c) {
                 let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
                 let linear = Vec3::new(table[p[0] as usize], table[p[1] as usize], table[p[2] as usize]);
-                let clipped = p.iter().any(|v| *v >= CLIPPED);
+                let clipped = p.iter().any(|v| u32::from(*v) >= tuning.clipped_from);
                 found.push((texel(ray(keyframe, f64::from(x), f64::from(y))), linear / gain, clipped));
             }
         }
@@ -198,14 +199,14 @@ fn one_view(
         .collect()
 }
 
-fn agree(samples: &[(Vec3, bool)]) -> ObservedTexel {
+fn agree(samples: &[(Vec3, bool)], half_spread: f32) -> ObservedTexel {
     if samples.is_empty() {
         return ObservedTexel::default();
     }
     let channel = |c: usize| median(samples.iter().map(|(r, _)| r[c])).unwrap_or(0.0);
     let radiance = Vec3::new(channel(0), channel(1), channel(2));
     let deviation = median(samples.iter().map(|(r, _)| (*r - radiance).abs().element_sum())).unwrap_or(0.0);
-    let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / SPREAD;
+    let spread = deviation / radiance.element_sum().max(f32::MIN_POSITIVE) / half_spread;
     let clipped = samples.iter().filter(|(_, c)| *c).count() * 2 > samples.len();
     ObservedTexel { radiance, agreement: 1.0 / (1.0 + spread * spread), clipped, ..ObservedTexel::default() }
 }

@@ -8,6 +8,7 @@ use crate::render::objects::gltf::document;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
 use crate::render::objects::ply;
+use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
 use recordings::types::Mesh;
@@ -73,10 +74,16 @@ impl std::str::FromStr for Insert {
 ///
 /// # Errors
 /// The file cannot be used, or no place is found for it.
-pub fn load(insert: &Insert, view: &Viewpoint, mesh: &Mesh, scene: &RayScene) -> Result<(Object, Vec<String>)> {
+pub fn load(
+    insert: &Insert,
+    view: &Viewpoint,
+    mesh: &Mesh,
+    scene: &RayScene,
+    config: &RealityConfig,
+) -> Result<(Object, Vec<String>)> {
     let path = &insert.path;
     let is_scan = path.extension().is_some_and(|e| e == "lres");
-    let mut object = if is_scan { part_of(path, &insert.segments)? } else { from_file(path)? };
+    let mut object = if is_scan { part_of(path, &insert.segments, config)? } else { from_file(path)? };
     let (low, high) = object.bounds();
     let foot = Vec3::new((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z);
     if is_scan || insert.position.is_none() {
@@ -136,13 +143,13 @@ fn from_file(path: &Path) -> Result<Object> {
 }
 
 /// A result's surface, or some of its segments.
-fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
+fn part_of(path: &Path, segments: &[u32], config: &RealityConfig) -> Result<Object> {
     let result = Estimate::read(path)?;
     if let Some(s) = segments.iter().find(|s| !result.segment.contains(s)) {
         let most = result.segments.len().saturating_sub(1);
         return Err(RenderError::file(path, format!("has no segment {s} (they go from 0 to {most})")));
     }
-    let whole = scanned(&result);
+    let whole = scanned(&result, config);
     if segments.is_empty() {
         return Ok(whole);
     }
@@ -174,11 +181,11 @@ fn part_of(path: &Path, segments: &[u32]) -> Result<Object> {
 ///
 /// # Errors
 /// There is no such segment.
-pub fn give_material(object: &mut Object, estimate: &Estimate, segment: u32) -> Result<()> {
+pub fn give_material(object: &mut Object, estimate: &Estimate, segment: u32, config: &RealityConfig) -> Result<()> {
     let s = estimate.segments.get(segment as usize).ok_or_else(|| {
         RenderError::Request(format!("there is no segment {segment}: the result has {}", estimate.segments.len()))
     })?;
-    let of_segment = scanned(estimate).materials.swap_remove(segment as usize);
+    let of_segment = scanned(estimate, config).materials.swap_remove(segment as usize);
     object.materials = vec![Material { base_color: Vec3::from(s.albedo.map(|a| a as f32)), ..of_segment }];
     object.material.iter_mut().for_each(|m| *m = 0);
     object.color.clear();

@@ -2,22 +2,9 @@
 //! patches of one colour, so neither delimits an object.
 
 use crate::mesh::graph::Graph;
+use firmware_config::tuning::RemovalTuning;
 use glam::{DMat3, Vec3};
 use recordings::types::Mesh;
-
-/// Vertices whose tangent planes are tried as the support.
-const CANDIDATES: usize = 256;
-/// Share of the vertices that a support has at least.
-const SMALLEST_SUPPORT: f32 = 0.02;
-/// A support's vertices lie within this many edges of its plane, and agree with its normal to this cosine.
-const THICKNESS: f32 = 2.0;
-const SAME_NORMAL: f32 = 0.9;
-/// Cosine to a plane tried before under which another is the same.
-const SAME_PLANE: f32 = 0.98;
-/// Share of an object's border that must lie on its support: otherwise the plane cuts the object in two.
-const STANDS: f32 = 0.7;
-/// A larger share of the vertices is the scene, not an object on its support.
-const LARGEST: f64 = 0.75;
 
 /// A plane; its unit normal points to what stands on it.
 #[derive(Debug, Clone, Copy)]
@@ -35,31 +22,20 @@ impl Plane {
 /// The smallest object around the vertex `seed` that stands on a large plane, as `[vertex]` membership; `edge` is the mesh's
 /// median edge (m). `None` without such a support, or where the object would be most of the scan.
 #[must_use]
-pub fn object_on_support(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> Option<Vec<bool>> {
-    let n = mesh.positions.len();
-    let thickness = THICKNESS * edge;
-    let mut planes: Vec<(usize, Plane)> = (0..n)
-        .step_by((n / CANDIDATES).max(1))
-        .filter_map(|v| {
-            let plane = Plane { at: mesh.positions[v], normal: mesh.normals[v] };
-            let carries = plane.height(mesh.positions[seed]) > thickness;
-            carries.then(|| ((0..n).filter(|&i| lies_on(mesh, &plane, i, thickness)).count(), plane))
-        })
-        .filter(|(count, _)| *count as f32 >= SMALLEST_SUPPORT * n as f32)
-        .collect();
-    planes.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
-    let mut tried: Vec<Plane> = Vec::new();
+pub fn object_on_support(
+    mesh: &Mesh,
+    graph: &Graph,
+    edge: f32,
+    seed: usize,
+    tuning: &RemovalTuning,
+) -> Option<Vec<bool>> {
+    let search = Search { mesh, graph, thickness: tuning.support_thickness as f32 * edge, tuning };
     let mut best: Option<(usize, Vec<bool>)> = None;
-    for (_, plane) in planes {
-        let same = |t: &Plane| t.normal.dot(plane.normal) > SAME_PLANE && t.height(plane.at).abs() < thickness;
-        if tried.iter().any(same) {
-            continue;
-        }
-        tried.push(plane);
-        let Some(rough) = standing_on(mesh, graph, &plane, thickness, seed) else { continue };
+    for plane in search.supports(seed) {
+        let Some(rough) = search.standing_on(&plane, seed) else { continue };
         // A table is not that flat: repeat with the plane fitted around the object.
-        let near = plane_about(mesh, &plane, thickness, &rough);
-        let found = near.and_then(|p| standing_on(mesh, graph, &p, thickness, seed)).unwrap_or(rough);
+        let near = search.plane_about(&plane, &rough);
+        let found = near.and_then(|p| search.standing_on(&p, seed)).unwrap_or(rough);
         let count = found.iter().filter(|x| **x).count();
         if best.as_ref().is_none_or(|(smallest, _)| count < *smallest) {
             best = Some((count, found));
@@ -68,48 +44,88 @@ pub fn object_on_support(mesh: &Mesh, graph: &Graph, edge: f32, seed: usize) -> 
     best.map(|(_, found)| found)
 }
 
-fn lies_on(mesh: &Mesh, plane: &Plane, vertex: usize, thickness: f32) -> bool {
-    plane.height(mesh.positions[vertex]).abs() < thickness && mesh.normals[vertex].dot(plane.normal) > SAME_NORMAL
+/// What every step of the extraction needs.
+struct Search<'a> {
+    mesh: &'a Mesh,
+    graph: &'a Graph,
+    /// Half thickness of a support in metres.
+    thickness: f32,
+    tuning: &'a RemovalTuning,
 }
 
-/// What is connected to `seed` above a plane without passing along it.
-fn standing_on(mesh: &Mesh, graph: &Graph, plane: &Plane, thickness: f32, seed: usize) -> Option<Vec<bool>> {
-    let above = |v: usize| plane.height(mesh.positions[v]) > -thickness && !lies_on(mesh, plane, v, thickness);
-    let inside = above(seed).then(|| graph.flood(seed, above))?;
-    let count = inside.iter().filter(|x| **x).count();
-    if count as f64 > LARGEST * inside.len() as f64 {
-        return None;
+impl Search<'_> {
+    /// Distinct planes below the vertex `seed` that many vertices lie on, most vertices first.
+    fn supports(&self, seed: usize) -> Vec<Plane> {
+        let mesh = self.mesh;
+        let n = mesh.positions.len();
+        let mut planes: Vec<(usize, Plane)> = (0..n)
+            .step_by((n / self.tuning.support_candidates as usize).max(1))
+            .filter_map(|v| {
+                let plane = Plane { at: mesh.positions[v], normal: mesh.normals[v] };
+                let carries = plane.height(mesh.positions[seed]) > self.thickness;
+                carries.then(|| ((0..n).filter(|&i| self.lies_on(&plane, i)).count(), plane))
+            })
+            .filter(|(count, _)| *count as f32 >= self.tuning.smallest_support as f32 * n as f32)
+            .collect();
+        planes.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+        let mut distinct: Vec<Plane> = Vec::new();
+        for (_, plane) in planes {
+            let same = |t: &Plane| {
+                t.normal.dot(plane.normal) > self.tuning.same_plane as f32 && t.height(plane.at).abs() < self.thickness
+            };
+            if !distinct.iter().any(same) {
+                distinct.push(plane);
+            }
+        }
+        distinct
     }
-    let mut border: Vec<u32> =
-        (0..inside.len()).filter(|&v| inside[v]).flat_map(|v| graph.neighbours(v)).copied().collect();
-    border.retain(|&v| !inside[v as usize]);
-    border.sort_unstable();
-    border.dedup();
-    let on = border.iter().filter(|&&v| lies_on(mesh, plane, v as usize, thickness)).count();
-    (on as f32 >= STANDS * border.len() as f32).then_some(inside)
-}
 
-/// The least-squares plane of the support within twice an object's radius.
-fn plane_about(mesh: &Mesh, plane: &Plane, thickness: f32, object: &[bool]) -> Option<Plane> {
-    let members = || (0..object.len()).filter(|&v| object[v]).map(|v| mesh.positions[v]);
-    let middle = members().sum::<Vec3>() / members().count().max(1) as f32;
-    let radius = members().fold(0.0f32, |r, p| r.max(p.distance(middle)));
-    let near: Vec<Vec3> = (0..object.len())
-        .filter(|&v| lies_on(mesh, plane, v, thickness) && mesh.positions[v].distance(middle) < 2.0 * radius)
-        .map(|v| mesh.positions[v])
-        .collect();
-    let at = near.iter().sum::<Vec3>() / near.len().max(1) as f32;
-    let spread = near.iter().fold(DMat3::ZERO, |m, p| {
-        let d = (*p - at).as_dvec3();
-        m + DMat3::from_cols(d * d.x, d * d.y, d * d.z)
-    });
-    let spread = nalgebra::Matrix3::from_column_slice(&spread.to_cols_array());
-    let eigen = spread.symmetric_eigen();
-    let smallest = eigen.eigenvalues.imin();
-    let axis = eigen.eigenvectors.column(smallest);
-    let normal = Vec3::new(axis[0] as f32, axis[1] as f32, axis[2] as f32).try_normalize()?;
-    let normal = if normal.dot(plane.normal) < 0.0 { -normal } else { normal };
-    (normal.dot(plane.normal) > SAME_NORMAL && near.len() >= 8).then_some(Plane { at, normal })
+    fn lies_on(&self, plane: &Plane, vertex: usize) -> bool {
+        plane.height(self.mesh.positions[vertex]).abs() < self.thickness
+            && self.mesh.normals[vertex].dot(plane.normal) > self.tuning.support_normal as f32
+    }
+
+    /// Vertices connected to `seed` above a plane without passing along it.
+    fn standing_on(&self, plane: &Plane, seed: usize) -> Option<Vec<bool>> {
+        let above = |v: usize| plane.height(self.mesh.positions[v]) > -self.thickness && !self.lies_on(plane, v);
+        let inside = above(seed).then(|| self.graph.flood(seed, above))?;
+        let count = inside.iter().filter(|x| **x).count();
+        if count as f64 > self.tuning.largest_object * inside.len() as f64 {
+            return None;
+        }
+        let mut border: Vec<u32> =
+            (0..inside.len()).filter(|&v| inside[v]).flat_map(|v| self.graph.neighbours(v)).copied().collect();
+        border.retain(|&v| !inside[v as usize]);
+        border.sort_unstable();
+        border.dedup();
+        let on = border.iter().filter(|&&v| self.lies_on(plane, v as usize)).count();
+        (on as f32 >= self.tuning.border_on_support as f32 * border.len() as f32).then_some(inside)
+    }
+
+    /// The least-squares plane of the support within twice an object's radius.
+    fn plane_about(&self, plane: &Plane, object: &[bool]) -> Option<Plane> {
+        let positions = &self.mesh.positions;
+        let members = || (0..object.len()).filter(|&v| object[v]).map(|v| positions[v]);
+        let middle = members().sum::<Vec3>() / members().count().max(1) as f32;
+        let radius = members().fold(0.0f32, |r, p| r.max(p.distance(middle)));
+        let near: Vec<Vec3> = (0..object.len())
+            .filter(|&v| self.lies_on(plane, v) && positions[v].distance(middle) < 2.0 * radius)
+            .map(|v| positions[v])
+            .collect();
+        let at = near.iter().sum::<Vec3>() / near.len().max(1) as f32;
+        let spread = near.iter().fold(DMat3::ZERO, |m, p| {
+            let d = (*p - at).as_dvec3();
+            m + DMat3::from_cols(d * d.x, d * d.y, d * d.z)
+        });
+        let spread = nalgebra::Matrix3::from_column_slice(&spread.to_cols_array());
+        let eigen = spread.symmetric_eigen();
+        let smallest = eigen.eigenvalues.imin();
+        let axis = eigen.eigenvectors.column(smallest);
+        let normal = Vec3::new(axis[0] as f32, axis[1] as f32, axis[2] as f32).try_normalize()?;
+        let normal = if normal.dot(plane.normal) < 0.0 { -normal } else { normal };
+        (normal.dot(plane.normal) > self.tuning.support_normal as f32 && near.len() >= 8)
+            .then_some(Plane { at, normal })
+    }
 }
 
 /// The members and their neighbours: includes the rim of the contact.

@@ -4,6 +4,7 @@ use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::render::error::{RenderError, Result};
 use crate::render::removal::object_extraction::{grown, object_on_support};
+use firmware_config::tuning::RemovalTuning;
 use glam::Vec3;
 use recordings::types::Mesh;
 
@@ -24,17 +25,17 @@ pub enum Removal {
     },
 }
 
-/// A connected component with a larger share of the vertices is the scene, not an object in it.
-const LARGEST_PIECE: f64 = 0.3;
-/// Share of an object from which a segment stands for all of it.
-const WHOLE_OBJECT: f64 = 0.5;
-/// Components that only a removed segment supported go with it up to this share of its size.
-const SMALL_COMPONENT: f64 = 0.1;
 /// Vertices that a list of removals takes away.
 ///
 /// # Errors
 /// A segment that does not exist, a ray or a box that meets nothing, or nothing left.
-pub fn select(mesh: &Mesh, segment: &[u32], scene: &RayScene, removals: &[Removal]) -> Result<Vec<bool>> {
+pub fn select(
+    mesh: &Mesh,
+    segment: &[u32],
+    scene: &RayScene,
+    removals: &[Removal],
+    tuning: &RemovalTuning,
+) -> Result<Vec<bool>> {
     let n = mesh.positions.len();
     let graph = Graph::of(mesh);
     let mut gone = vec![false; n];
@@ -44,14 +45,15 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &RayScene, removals: &[Remova
         let chosen: Vec<bool> = match removal {
             Removal::Segment(id) => {
                 let mut members: Vec<bool> = segment.iter().map(|s| s == id).collect();
-                if let Some(whole) = middle(mesh, &members).and_then(|seed| object_on_support(mesh, &graph, edge, seed))
+                if let Some(whole) =
+                    middle(mesh, &members).and_then(|seed| object_on_support(mesh, &graph, edge, seed, tuning))
                 {
                     let shared = (0..n).filter(|&v| whole[v] && members[v]).count();
-                    if shared as f64 >= WHOLE_OBJECT * count(&whole) as f64 {
+                    if shared as f64 >= tuning.whole_object * count(&whole) as f64 {
                         members.iter_mut().zip(grown(&whole, &graph)).for_each(|(m, w)| *m |= w);
                     }
                 }
-                with_small_components(members, &graph)
+                with_small_components(members, &graph, tuning.small_component)
             }
             Removal::Box(low, high) => {
                 mesh.positions.iter().map(|p| p.cmpge(*low).all() && p.cmple(*high).all()).collect()
@@ -62,11 +64,18 @@ pub fn select(mesh: &Mesh, segment: &[u32], scene: &RayScene, removals: &[Remova
                 })?;
                 let start = mesh.triangles[hit.triangle as usize][0] as usize;
                 let piece = graph.flood(start, |_| true);
-                if count(&piece) as f64 <= LARGEST_PIECE * n as f64 {
+                if count(&piece) as f64 <= tuning.largest_component * n as f64 {
                     piece
                 } else {
-                    let patch = || with_small_components(graph.flood(start, |v| segment[v] == segment[start]), &graph);
-                    object_on_support(mesh, &graph, edge, start).map_or_else(patch, |whole| grown(&whole, &graph))
+                    let patch = || {
+                        with_small_components(
+                            graph.flood(start, |v| segment[v] == segment[start]),
+                            &graph,
+                            tuning.small_component,
+                        )
+                    };
+                    object_on_support(mesh, &graph, edge, start, tuning)
+                        .map_or_else(patch, |whole| grown(&whole, &graph))
                 }
             }
         };
@@ -95,7 +104,7 @@ fn middle(mesh: &Mesh, members: &[bool]) -> Option<usize> {
 }
 
 /// The members with the small components that only they connected.
-fn with_small_components(mut members: Vec<bool>, graph: &Graph) -> Vec<bool> {
+fn with_small_components(mut members: Vec<bool>, graph: &Graph, share: f64) -> Vec<bool> {
     let size = members.iter().filter(|m| **m).count();
     let mut done = members.clone();
     let rim: Vec<usize> =
@@ -103,7 +112,7 @@ fn with_small_components(mut members: Vec<bool>, graph: &Graph) -> Vec<bool> {
     for v in rim {
         if !done[v] {
             let piece = graph.component(v, &mut done);
-            if piece.len() as f64 <= SMALL_COMPONENT * size as f64 {
+            if piece.len() as f64 <= share * size as f64 {
                 piece.into_iter().for_each(|p| members[p] = true);
             }
         }
@@ -115,6 +124,7 @@ fn with_small_components(mut members: Vec<bool>, graph: &Graph) -> Vec<bool> {
 mod tests {
     use super::*;
     use crate::render::inpainting::geometry::cut;
+    use firmware_config::tuning::InpaintingTuning;
     use recordings::types::vertex_normals;
 
     /// A plane of n × n quads with a bump of segment 1 in its middle, one surface.
@@ -144,8 +154,8 @@ mod tests {
     fn the_support_is_closed_flat_where_an_object_stood_on_it() {
         let (mesh, segment) = bumpy(20);
         let scene = RayScene::new(&mesh);
-        let gone = select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap();
-        let cut = cut(&mesh, &gone);
+        let gone = select(&mesh, &segment, &scene, &[Removal::Segment(1)], &RemovalTuning::default()).unwrap();
+        let cut = cut(&mesh, &gone, &InpaintingTuning::default());
         let closed = RayScene::new(&cut.kept);
         for (x, y) in [(0.0, 0.0), (0.13, -0.1), (-0.19, 0.19), (0.3, 0.01)] {
             let hit = closed.closest_hit(Vec3::new(x, y, 1.0), Vec3::NEG_Z).expect("closed");
@@ -171,12 +181,12 @@ mod tests {
         };
         part(0.0, &mut segment);
         let down = Removal::Ray { origin: Vec3::new(0.1, 0.02, 2.0), direction: Vec3::NEG_Z };
-        check(&select(&mesh, &segment, &scene, &[down]).unwrap());
+        check(&select(&mesh, &segment, &scene, &[down], &RemovalTuning::default()).unwrap());
         // One of two parts is not all of it; one that is most of it is.
-        let half = select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap();
+        let half = select(&mesh, &segment, &scene, &[Removal::Segment(1)], &RemovalTuning::default()).unwrap();
         assert!(half.iter().zip(&segment).all(|(g, s)| *g == (*s == 1)));
         part(0.12, &mut segment);
-        check(&select(&mesh, &segment, &scene, &[Removal::Segment(1)]).unwrap());
+        check(&select(&mesh, &segment, &scene, &[Removal::Segment(1)], &RemovalTuning::default()).unwrap());
     }
 
     #[test]
@@ -188,7 +198,7 @@ mod tests {
             !(wall && t.iter().any(|&i| mesh.positions[i as usize].x < -0.16))
         });
         let gone: Vec<bool> = segment.iter().map(|s| *s == 1).collect();
-        let closed = RayScene::new(&cut(&mesh, &gone).kept);
+        let closed = RayScene::new(&cut(&mesh, &gone, &InpaintingTuning::default()).kept);
         for (x, y) in [(0.0, 0.0), (-0.18, 0.1), (0.17, -0.17)] {
             let hit = closed.closest_hit(Vec3::new(x, y, 1.0), Vec3::NEG_Z).expect("closed");
             assert!((hit.distance - 1.0).abs() < 1e-3, "{x} {y}: {}", hit.distance);
@@ -199,7 +209,8 @@ mod tests {
     fn removals_that_make_no_sense_are_refused() {
         let (mesh, segment) = bumpy(8);
         let scene = RayScene::new(&mesh);
-        let say = |r: Removal| select(&mesh, &segment, &scene, &[r]).unwrap_err().to_string();
+        let say =
+            |r: Removal| select(&mesh, &segment, &scene, &[r], &RemovalTuning::default()).unwrap_err().to_string();
         assert!(say(Removal::Segment(9)).contains("no segment 9"));
         assert!(say(Removal::Box(Vec3::splat(5.0), Vec3::splat(6.0))).contains("no part"));
         assert!(say(Removal::Box(Vec3::splat(-5.0), Vec3::splat(6.0))).contains("everything"));
