@@ -1,4 +1,20 @@
-//! From a scan to light and materials (§3.1 second half – §3.4).
+//! Estimates light and materials from a scan (§3.1 second half – §3.4).
+//!
+//! ```
+//! use estimator::{Options, estimate};
+//! use firmware_config::EstimatorConfig;
+//! use recordings::scan::Scan;
+//! use std::time::Duration;
+//!
+//! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../recordings/data/samples/v1.lscan");
+//! let scan = Scan::read(path.as_ref())?;
+//! // A fixed number of ray rounds instead of the clock: the result is the same on every run.
+//! let options = Options { budget: Duration::from_secs(120), rounds: Some(1) };
+//! let result = estimate(&scan, &EstimatorConfig::default(), &options, &())?;
+//! assert_eq!(result.albedo.len(), result.mesh.positions.len());
+//! assert_eq!(result.light.coefficients.len() as u32, result.light.bands().pow(2));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod api;
 pub mod association;

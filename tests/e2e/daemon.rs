@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-/// Longest wait for anything.
+/// Upper bound of every wait.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A daemon; killed at the end if it still runs.
@@ -259,7 +259,7 @@ fn unfinished(device: &Path) -> Vec<PathBuf> {
     entries.map(|e| e.path()).filter(|p| p.file_name().unwrap().to_string_lossy().starts_with(".capture-")).collect()
 }
 
-/// The disk takes no more in the middle of a scan: that scan is lost, and said; the daemon lives.
+/// The disk takes no more in the middle of a scan: that scan is lost and reported; the daemon goes on.
 #[test]
 fn a_full_disk_ends_the_scan_cleanly() {
     let dir = tempfile::tempdir().unwrap();
@@ -334,7 +334,7 @@ fn publishing_survives_signals() {
     assert_eq!((scans(&device).len(), unfinished(&device).len()), (2, 0));
 }
 
-/// Whatever a session suffers, the daemon lives, its counters say so, and the next scan is a whole one.
+/// After a session with faults the daemon runs on, its counters report the faults, and the next scan is complete.
 #[test]
 fn the_scan_after_a_bad_one_is_good() {
     let table = recording();
@@ -435,7 +435,7 @@ fn depth_without_colour_makes_no_scan_and_no_trouble() {
     assert!(unfinished(dir.path()).is_empty() && scans(dir.path()).is_empty());
 }
 
-/// What systemd is told.
+/// Messages to systemd.
 #[test]
 fn the_service_manager_is_kept_informed() {
     let dir = tempfile::tempdir().unwrap();

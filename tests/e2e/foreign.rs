@@ -1,5 +1,5 @@
 //! What is exported, opened by programs that are not ours: the Khronos validator, three.js, Blender, trimesh, Open3D,
-//! OpenEXR's tools, COLMAP, and a browser. Where such a program is not installed its test says that it was skipped, and
+//! OpenEXR's tools, COLMAP, and a browser. Where such a program is not installed its test prints that it was skipped, and
 //! why; `.ci/run` installs them all but Open3D, which is 400 MB.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "these are tests")]
@@ -197,7 +197,7 @@ fn browser() {
     estimator::export::picture::write_png(&panorama, 64, 32, &pixels).unwrap();
     let object = e.dir.join("result.glb");
     let output = node.arg(script("viewer.cjs")).args([&page, &rendering, &panorama, &object]).output().unwrap();
-    let told = accepted(&output);
-    eprintln!("{told}");
+    let report = accepted(&output);
+    eprintln!("{report}");
     assert!(std::fs::metadata(&page).unwrap().len() < 8_000_000);
 }

@@ -8,7 +8,7 @@ use common::{arg, fails, json, lumiscan, ok, run, text};
 use std::path::Path;
 use tests::shared;
 
-/// Recordings of frames and of packets say the same.
+/// Records from a simulated Kinect; the report.
 fn recorded(dir: &Path, name: &str, plan: &str, more: &[&str]) -> serde_json::Value {
     let mut args = vec!["--json".into(), "record".into(), arg(dir.join(name)), "--simulate".into(), plan.into()];
     args.extend(more.iter().map(|s| (*s).to_owned()));

@@ -1,4 +1,4 @@
-//! `import tum`, `export --to tum`, `inspect` of recordings, and what they say of damaged ones.
+//! `import tum`, `export --to tum`, `inspect` of recordings, and their messages about damaged ones.
 
 #![allow(clippy::unwrap_used, reason = "these are tests")]
 

@@ -30,7 +30,7 @@ const QUICK: [&str; 14] = [
     "reality.relight_rays=16",
 ];
 
-/// A scan of a table with two balls, and things to put on it.
+/// A scan of a table with two balls, and objects to insert.
 struct Scanned {
     dir: PathBuf,
     estimate: Estimate,

@@ -1,4 +1,11 @@
 //! What tests across crates share: the truth scenes, their arrays, and the figures that results are judged by.
+//!
+//! ```
+//! use tests::metrics::{adjusted_rand_index, percentile};
+//!
+//! assert_eq!(adjusted_rand_index(&[0, 0, 1, 1], &[5, 5, 2, 2]), 1.0);
+//! assert_eq!(percentile(&[1.0, 2.0, 3.0, 4.0], 0.5), 2.5);
+//! ```
 
 // Test code: whatever is wrong with a fixture is to end the test.
 #![allow(clippy::expect_used)]

@@ -1,4 +1,4 @@
-//! Association, segmentation and regularisation where there is nothing to go by: the output is valid all the same.
+//! Association, segmentation and regularisation without usable input: the output stays valid.
 
 use estimator::association::{Association, associate};
 use estimator::mesh::regularise;
@@ -111,7 +111,7 @@ fn exposures_ten_thousand_to_one() {
     const FACTOR: f64 = 2.05;
     let mesh = square(40, 1.0);
     // Sixteen stripes, each about twice as bright as the one before; picture j shows stripe j at 200 and all that are
-    // brighter clipped. Stripe 0, at the pictures' border, tells nothing.
+    // brighter clipped. Stripe 0, at the pictures' border, has no information.
     let value = |j: i32, x: u32| {
         let level = 200.0 * libm::pow(FACTOR, f64::from(x / 4) - f64::from(j));
         [level.clamp(0.0, 255.0).round() as u8; 3]

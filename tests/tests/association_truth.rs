@@ -73,7 +73,7 @@ fn associated_colours_are_sharper_than_fused_ones() {
     assert!(sharp > 1.2 * blurred, "associated {sharp}, fused {blurred}");
 }
 
-/// A frame that no step used is predicted from the pose its picture tells, and better so than without corrections.
+/// A frame that no step used is predicted from the pose that its picture gives, better than without corrections.
 #[test]
 #[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn a_validation_frame_is_predicted_better_with_exposure_and_pose() {
@@ -86,7 +86,7 @@ fn a_validation_frame_is_predicted_better_with_exposure_and_pose() {
         let result = estimate(&scan, &config, &options, &()).expect("a result");
         assert!(
             result.decisions.iter().any(|d| matches!(d, Decision::Witnesses { frames: 1, .. })),
-            "what limits them is said"
+            "the result says what limits them"
         );
         (result.witnesses[0].lit_psnr_db, result.witnesses[0].model_psnr_db)
     };

@@ -15,7 +15,7 @@ use std::sync::Mutex;
 use std::time::Duration;
 use tests::scans::{globe, joined, scan, shaded, sheet};
 
-/// As fast as it is said to be, and standing still when it is said to.
+/// A machine of a given speed that stalls at given times.
 struct Simulated {
     /// Reference seconds a second.
     speed: f64,
@@ -51,11 +51,11 @@ fn run(scan: &Scan, machine: &Simulated, budget: f64) -> Estimate {
     let options = Options { budget: Duration::from_secs_f64(budget), rounds: None };
     let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     assert!(e.albedo.iter().all(|a| a.is_finite()), "a valid result");
-    assert!(e.confidence.iter().any(|c| *c > 0.1), "that says something");
+    assert!(e.confidence.iter().any(|c| *c > 0.1), "some albedos are known");
     e
 }
 
-/// Three walls that meet: 7500 vertices that see one another, so that there is something to bounce.
+/// Three walls that meet: 7500 vertices that see one another, so that light bounces.
 fn corner() -> Scan {
     let at = Vec3::splat(-0.5);
     let walls = [sheet(49, at, Vec3::X, Vec3::Y), sheet(49, at, Vec3::Y, Vec3::Z), sheet(49, at, Vec3::Z, Vec3::X)];

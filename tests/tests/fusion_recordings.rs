@@ -1,4 +1,4 @@
-//! Fusion on recordings of real and rendered Kinects: accuracy, coverage, loss and recovery, haste.
+//! Fusion on recordings of real and rendered Kinects: accuracy, coverage, loss and recovery, speed.
 
 #![allow(clippy::unwrap_used, reason = "these are tests")]
 
@@ -157,37 +157,37 @@ fn twice_the_speed_and_backwards_do_not_lose_it() {
     assert_eq!(output.trajectory.len(), frames, "bunny backwards: lost");
 }
 
-/// What fusion said of each frame: tracked, blocks in use, camera centre.
-struct Told {
+/// What fusion reports of a frame: tracked, blocks in use, camera centre.
+struct Reported {
     tracked: bool,
     blocks: u64,
     centre: Option<DVec3>,
 }
 
-fn play(sensor: &Sensor, frames: impl Iterator<Item = RgbdFrame>) -> (Vec<Told>, FusionOutput) {
+fn play(sensor: &Sensor, frames: impl Iterator<Item = RgbdFrame>) -> (Vec<Reported>, FusionOutput) {
     let mut fusion = Fusion::new(sensor, &FusionConfig::default()).unwrap();
-    let told = |frame: RgbdFrame| {
+    let report_of = |frame: RgbdFrame| {
         let report = fusion.push(&frame).unwrap();
-        Told {
+        Reported {
             tracked: report.tracking == Tracking::Tracked,
             blocks: report.blocks_used,
             centre: report.world_from_camera.map(|p| p.translation),
         }
     };
-    let told = frames.map(told).collect();
-    (told, fusion.finish())
+    let reports = frames.map(report_of).collect();
+    (reports, fusion.finish())
 }
 
 /// Asserts that the camera is lost within two frames of `begin`, that nothing is fused while it is, and that it is found
 /// within ten frames of `end`.
-fn assert_lost_and_found(told: &[Told], begin: usize, end: usize) {
-    let lost = (begin..end).find(|i| !told[*i].tracked).unwrap_or(end);
+fn assert_lost_and_found(reports: &[Reported], begin: usize, end: usize) {
+    let lost = (begin..end).find(|i| !reports[*i].tracked).unwrap_or(end);
     assert!(lost < begin + 2, "frame {begin}: not lost within two frames");
-    let found = (end..told.len()).find(|i| told[*i].tracked).unwrap_or(told.len());
+    let found = (end..reports.len()).find(|i| reports[*i].tracked).unwrap_or(reports.len());
     println!("lost at {lost} (cut at {begin}), found {} frames after it was back", found - end + 1);
     assert!(found < end + 10, "frame {end}: not found within ten frames");
     for i in lost..found {
-        assert!(told[i].tracked || told[i].blocks == told[i - 1].blocks, "frame {i}: fused while lost");
+        assert!(reports[i].tracked || reports[i].blocks == reports[i - 1].blocks, "frame {i}: fused while lost");
     }
 }
 
@@ -211,14 +211,14 @@ fn black_frames_and_a_covered_lens_lose_a_desk_and_it_is_found_again() {
         }
         frame
     });
-    let (told, output) = play(&sensor, frames);
+    let (reports, output) = play(&sensor, frames);
     for (begin, end) in [(40, 55), (80, 95), (110, 115)] {
-        assert_lost_and_found(&told, begin, end);
+        assert_lost_and_found(&reports, begin, end);
     }
     let s = &output.stats;
     assert_eq!((s.losses, s.relocalisations), (3, 3));
-    assert_eq!(s.lost_pairs as usize, told.iter().filter(|t| !t.tracked).count());
-    assert_eq!(output.trajectory.len(), told.iter().filter(|t| t.tracked).count());
+    assert_eq!(s.lost_pairs as usize, reports.iter().filter(|t| !t.tracked).count());
+    assert_eq!(output.trajectory.len(), reports.iter().filter(|t| t.tracked).count());
 }
 
 /// A cut: the camera stands far away from one frame to the next, for ten frames, and then where it was.
@@ -242,13 +242,13 @@ fn a_cut_is_noticed_and_made_good() {
             frame.color.timestamp_ns = stamp;
             frame
         });
-        let (told, output) = play(&sensor, frames);
+        let (reports, output) = play(&sensor, frames);
         println!("{name}: away by {:.2} m", distance(away));
-        assert_lost_and_found(&told, begin, begin + 10);
+        assert_lost_and_found(&reports, begin, begin + 10);
         assert!(output.stats.losses >= 1);
-        let home = told[begin - 1].centre.unwrap();
+        let home = reports[begin - 1].centre.unwrap();
         for (k, i) in order.iter().enumerate().skip(begin) {
-            let Some(c) = told[k].centre else { continue };
+            let Some(c) = reports[k].centre else { continue };
             let error = (c.distance(home) - distance(*i)).abs();
             assert!(error < 0.06, "{name}: fused frame {k} at a wrong place, off by {error} m");
         }

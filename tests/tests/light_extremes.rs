@@ -43,7 +43,7 @@ fn nothing_to_work_with_is_refused() {
 }
 
 #[test]
-fn black_and_clipped_pictures_are_believed_in_nothing() {
+fn black_and_clipped_pictures_carry_no_weight() {
     for pixel in [|_, _| [0; 3], |_, _| [255; 3]] as [fn(u32, u32) -> [u8; 3]; 2] {
         match run(&scan(globe(12, 0.5, 1.0), 3, 2.0, pixel)) {
             Err(EstimateError::Unusable(why)) => assert!(!why.is_empty()),
@@ -64,7 +64,7 @@ fn one_keyframe_gives_an_answer_and_a_warning() {
 fn a_wall_has_neither_bounces_nor_gloss() {
     let e = run(&scan(wall(24, 1.0), 3, 1.5, |_, _| [128; 3])).expect("an answer");
     assert!(e.transfer != TransferLevel::Gi, "a flat wall reflects nothing onto itself: {}", e.transfer);
-    assert!(e.segments.iter().all(|s| s.w_s == 0.0), "nothing tells gloss on it");
+    assert!(e.segments.iter().all(|s| s.w_s == 0.0), "gloss cannot be observed on it");
 }
 
 #[test]

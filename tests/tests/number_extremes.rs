@@ -134,7 +134,7 @@ fn colours_of_any_unit() {
     for unit in [libm::exp2f(-40.0), libm::exp2f(30.0)] {
         let other = solve(unit);
         // Radiance has mean 1 in the solver: the unit is the albedo's.
-        // Above band 2 the cosine lets little or nothing through: those are not told by an open globe.
+        // Above band 2 the cosine lets little or nothing through: an open globe does not determine those.
         for (a, b) in one.light.iter().zip(&other.light).take(9) {
             assert!((a[1] - b[1]).abs() < 1e-3 * one.light[0][1], "unit {unit}: {a:?} {b:?}");
         }
@@ -266,9 +266,10 @@ fn solving_in_single_precision_is_that_in_double() {
             row
         })
         .collect();
-    // The cosine's factor vanishes for odd bands above one: those cannot be told, in any precision.
-    let told = |i: usize| sh::cosine_factor(sh::band(i)).abs() > 1e-9;
-    let light: Vec<f64> = (0..k).map(|i| if told(i) { f64::from(unit(hash(i as u32, 3))) } else { 0.0 }).collect();
+    // The cosine's factor vanishes for odd bands above one: those cannot be determined in any precision.
+    let determined = |i: usize| sh::cosine_factor(sh::band(i)).abs() > 1e-9;
+    let light: Vec<f64> =
+        (0..k).map(|i| if determined(i) { f64::from(unit(hash(i as u32, 3))) } else { 0.0 }).collect();
     let solve = |round: &dyn Fn(f64) -> f64| {
         let (x, _) = least_squares(k, rows.len(), |i, out| {
             out[..k].iter_mut().zip(&rows[i]).for_each(|(o, t)| *o = round(*t));
@@ -277,7 +278,7 @@ fn solving_in_single_precision_is_that_in_double() {
         x
     };
     let (double, single) = (solve(&|x| x), solve(&|x| f64::from(x as f32)));
-    for i in (0..k).filter(|i| told(*i)) {
+    for i in (0..k).filter(|i| determined(*i)) {
         assert!((double[i] - light[i]).abs() < 1e-9, "k = {i}: {} {}", double[i], light[i]);
         assert!((single[i] - light[i]).abs() < 1e-4, "k = {i}: {} {}", single[i], light[i]);
     }

@@ -58,7 +58,7 @@ fn a_convex_object_under_soft_light_is_cheap() {
     let e = run(&lit(mesh, &poses, |i| Vec3::splat(0.5 * soft(normals[i]))));
     assert!(e.light.bands() <= 3, "{} bands", e.light.bands());
     assert!(e.transfer != TransferLevel::Gi, "{}", e.transfer);
-    assert!(e.segments.iter().all(|s| s.w_s == 0.0), "a matte thing has no gloss");
+    assert!(e.segments.iter().all(|s| s.w_s == 0.0), "a matte object has no gloss");
 }
 
 /// Three white walls that meet: their light is bounced light in good part.
