@@ -1,8 +1,8 @@
 //! What stands in our files, version 1. These structs are never edited: a new version stands beside them.
 
 use crate::decision::DecisionText;
-use crate::result::{Light, ResultKeyframe, Segment, WitnessError};
-use crate::scan::{CaptureStats, ScanSource};
+use crate::result::estimate::{Light, ResultKeyframe, Segment, WitnessError};
+use crate::scan::contents::{CaptureStats, ScanSource};
 use crate::types::{CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Pose, Response, Sensor};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@
 
 use crate::codec::connectivity;
 use crate::codec::pack::{Input, put_bytes, put_numbers, put_varint, take_bytes, take_numbers};
-use crate::result::Estimate;
+use crate::result::estimate::Estimate;
 use crate::v1::{VerticesV1, from_bytes, to_bytes};
 use glam::Vec3;
 use half::f16;

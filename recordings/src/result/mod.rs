@@ -1,0 +1,6 @@
+//! Results (`.lres`): the estimator's answer, with the decisions behind it, and its file form.
+
+pub(crate) mod estimate;
+mod file;
+
+pub use estimate::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
