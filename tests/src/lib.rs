@@ -10,6 +10,7 @@
 // Test code: whatever is wrong with a fixture is to end the test.
 #![allow(clippy::expect_used)]
 
+pub mod corpus;
 pub mod digests;
 pub mod evaluation;
 pub mod metrics;

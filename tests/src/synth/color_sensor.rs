@@ -1,4 +1,4 @@
-//! The colour camera: lens blur, automatic gain, drifting white balance, noise, 8 bits.
+//! The colour camera: lens blur, vignetting, automatic gain and white balance, noise, 8 bits.
 
 use super::environment::luminance;
 use super::random::Rng;
@@ -25,6 +25,12 @@ pub struct ColorSensor {
     pub drift: f32,
     /// Bounds of the gain relative to the first frame's.
     pub relative_range: [f32; 2],
+    /// How far the automatic white balance goes towards neutral: 0 leaves the colour of the light, 1 takes all of it.
+    pub balancing: f32,
+    /// Share of the picture that the automatic exposure lets clip.
+    pub most_clipped: f32,
+    /// Relative loss of light in the corners.
+    pub vignetting: f32,
 }
 
 impl Default for ColorSensor {
@@ -38,6 +44,9 @@ impl Default for ColorSensor {
             hunting: 0.14,
             drift: 0.025,
             relative_range: [0.6, 1.6],
+            balancing: 0.0,
+            most_clipped: 1.0,
+            vignetting: 0.0,
         }
     }
 }
@@ -56,6 +65,8 @@ pub struct Gain {
 pub struct AutoExposure {
     base: Option<f32>,
     steered: f32,
+    /// Logarithm of the white balance.
+    balance: Option<Vec3>,
 }
 
 impl AutoExposure {
@@ -70,6 +81,12 @@ impl AutoExposure {
         for _ in 0..8 {
             wanted = (wanted * sensor.target_mean / clipped(wanted).max(1e-6)).clamp(1e-4, 1e4);
         }
+        if sensor.most_clipped < 1.0 {
+            let mut brightest: Vec<f32> = picture.data.iter().map(|c| c.max_element()).collect();
+            brightest.sort_by(f32::total_cmp);
+            let at = ((1.0 - sensor.most_clipped) * brightest.len() as f32) as usize;
+            wanted = brightest.get(at).map_or(wanted, |b| wanted.min(1.0 / b.max(1e-4)));
+        }
         let base = *self.base.get_or_insert(wanted);
         if self.steered == 0.0 {
             self.steered = wanted;
@@ -80,8 +97,24 @@ impl AutoExposure {
         let [low, high] = sensor.relative_range;
         let gain = (self.steered * libm::expf(hunting)).clamp(low * base, high * base);
         let drift = Vec3::new(wave(7.0, 0.0), 0.0, wave(5.0, 2.5)) * sensor.drift;
-        Gain { gain, white_balance: Vec3::ONE + drift }
+        let neutral = neutral(picture, gain) * sensor.balancing;
+        let balance = *self.balance.insert(match self.balance {
+            Some(before) => before.lerp(neutral, 0.5 * sensor.response),
+            None => neutral,
+        });
+        Gain { gain, white_balance: Vec3::from(balance.to_array().map(libm::expf)) * (Vec3::ONE + drift) }
     }
+}
+
+/// Logarithm of the gains (green 0) that make a picture neutral: its unclipped pixels' colours, the bright ones counting
+/// more (shades of grey, Finlayson and Trezzi 2004, p = 5).
+fn neutral(picture: &Image<Vec3>, gain: f32) -> Vec3 {
+    const P: f32 = 5.0;
+    const LIMIT: f32 = 0.6;
+    let unclipped = picture.data.iter().map(|&c| c * gain).filter(|c| c.max_element() < 1.0);
+    let sum: glam::DVec3 = unclipped.map(|c| Vec3::from(c.to_array().map(|x| libm::powf(x, P))).as_dvec3()).sum();
+    let level = sum.to_array().map(|x| libm::log(x.max(1e-12)) as f32 / P);
+    Vec3::from(level.map(|x| (level[1] - x).clamp(-LIMIT, LIMIT)))
 }
 
 impl ColorSensor {
@@ -90,9 +123,13 @@ impl ColorSensor {
     pub fn expose(&self, picture: &Image<Vec3>, gain: Gain, seed: u64) -> RgbImage {
         let blurred = blur(picture, self.blur_px);
         let mut data = Vec::with_capacity(3 * blurred.len());
+        let [width, height] = [picture.width, picture.height].map(|n| n as f32);
         for (k, radiance) in blurred.iter().enumerate() {
             let mut rng = Rng::new(seed, k as u64);
-            for signal in (*radiance * gain.gain * gain.white_balance).to_array() {
+            let (x, y) =
+                ((k as u32 % picture.width) as f32 - 0.5 * width, (k as u32 / picture.width) as f32 - 0.5 * height);
+            let shade = 1.0 - self.vignetting * 4.0 * (x * x + y * y) / (width * width + height * height);
+            for signal in (*radiance * (gain.gain * shade) * gain.white_balance).to_array() {
                 let deviation = (signal.max(0.0) / self.full_well_e + self.read_noise * self.read_noise).sqrt();
                 data.push(encode(signal + deviation * rng.normal()));
             }

@@ -30,8 +30,14 @@ impl Environment {
         let width = 2 * height;
         let direction =
             |r: usize, c: usize| direction_of((r as f32 + 0.5) / height as f32, (c as f32 + 0.5) / width as f32);
-        let map: Vec<Vec3> =
-            (0..height * width).map(|k| radiance(direction(k / width, k % width)).max(Vec3::ZERO)).collect();
+        Self::from_map((0..height * width).map(|k| radiance(direction(k / width, k % width)).max(Vec3::ZERO)).collect())
+    }
+
+    /// A map of H × 2H texels, `[row][column]`.
+    #[must_use]
+    pub fn from_map(map: Vec<Vec3>) -> Self {
+        let height = (map.len() / 2).isqrt();
+        let width = 2 * height;
         let solid = solid_angles(height, width);
         let weights: Vec<f32> = (0..height * width)
             .map(|k| {
@@ -76,6 +82,19 @@ impl Environment {
     #[must_use]
     pub fn uniform(radiance: Vec3) -> Self {
         Self::new(8, |_| radiance)
+    }
+
+    /// The map, `[row][column]`, and its number of rows.
+    #[must_use]
+    pub fn map(&self) -> (usize, &[Vec3]) {
+        (self.height, &self.map)
+    }
+
+    /// Radiance times a factor.
+    #[must_use]
+    pub fn scaled(mut self, factor: f32) -> Self {
+        self.map.iter_mut().for_each(|l| *l *= factor);
+        self
     }
 
     /// Scaled so that the mean luminance over the sphere is 1.
@@ -149,8 +168,9 @@ impl Environment {
     }
 }
 
-/// All Y_lm(direction) with l ≤ `order`.
-fn harmonics(order: usize, direction: Vec3) -> Vec<f64> {
+/// All Y_lm(direction) with l ≤ `order`: real, orthonormal, index l(l+1)+m, no Condon–Shortley phase.
+#[must_use]
+pub fn harmonics(order: usize, direction: Vec3) -> Vec<f64> {
     let [x, y, z] = direction.to_array().map(f64::from);
     let azimuth = libm::atan2(y, x);
     let sine = (1.0 - z * z).max(0.0).sqrt();

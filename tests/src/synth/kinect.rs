@@ -2,6 +2,7 @@
 
 use super::color_sensor::{AutoExposure, ColorSensor, Gain};
 use super::depth_sensor::DepthSensor;
+use super::glare::Glare;
 use super::random::Rng;
 use super::render::{self, Exposure, Shading};
 use super::scene::Scene;
@@ -26,6 +27,10 @@ pub struct Kinect {
     pub depth_delay_ns: TimestampNs,
     /// How long the colour shutter is open, in seconds.
     pub shutter_s: f64,
+    /// Time from the first row's exposure to the last row's, in seconds: 0 for a global shutter.
+    pub readout_s: f64,
+    /// Light that the lens scatters, if any.
+    pub glare: Option<Glare>,
     /// Rays per colour pixel.
     pub samples: usize,
     /// Seed of all noise.
@@ -92,6 +97,8 @@ impl Kinect {
             period_ns: 66_666_667,
             depth_delay_ns: 4_000_000,
             shutter_s: 0.004,
+            readout_s: 0.0,
+            glare: None,
             samples: 16,
             seed,
             threads,
@@ -124,16 +131,46 @@ impl Kinect {
         let (color_timestamp_ns, time_s) = (START_NS + since_start_ns, since_start_ns as f64 * 1e-9);
         let depth_timestamp_ns = color_timestamp_ns + self.depth_delay_ns;
         let depth_pose = pose(time_s + self.depth_delay_ns as f64 * 1e-9);
-        let shutter = [pose(time_s - 0.5 * self.shutter_s), pose(time_s + 0.5 * self.shutter_s)];
-        let exposure = Exposure { shutter, samples: self.samples, seed, threads: self.threads };
-        let picture = render::color(scene, shading, &self.camera, &exposure);
         let mut rng = Rng::new(seed, u64::MAX);
-        let gain = self.exposure.next(&self.color, &picture, time_s, &mut rng);
-        let rgb = self.color.expose(&picture, gain, seed ^ 1);
+        let (rgb, gain) = self.picture(scene, shading, seed, time_s, pose, &mut rng);
         let depth = self.depth.frame(scene, &self.camera, &depth_pose, depth_timestamp_ns, seed ^ 2, self.threads);
         let up = depth_pose.rotation.conjugate() * DVec3::new(0.0, 0.0, 9.81);
         let acceleration = up.as_vec3().to_array().map(|a| a + 0.05 * rng.normal());
         let accelerometer = Accelerometer { timestamp_ns: depth_timestamp_ns, acceleration };
         Frame { color_timestamp_ns, rgb, depth, accelerometer, world_from_camera: pose(time_s), gain }
+    }
+
+    /// Takes a picture alone, at `time_s`; call in order, for the exposure follows the pictures before.
+    pub fn photo(
+        &mut self,
+        scene: &Scene,
+        shading: Shading,
+        index: u32,
+        time_s: f64,
+        pose: &dyn Fn(f64) -> Pose,
+    ) -> (RgbImage, Gain) {
+        let seed = Rng::family(self.seed, u64::from(index));
+        self.picture(scene, shading, seed, time_s, pose, &mut Rng::new(seed, u64::MAX))
+    }
+
+    fn picture(
+        &mut self,
+        scene: &Scene,
+        shading: Shading,
+        seed: u64,
+        time_s: f64,
+        pose: &dyn Fn(f64) -> Pose,
+        rng: &mut Rng,
+    ) -> (RgbImage, Gain) {
+        let whole_s = self.shutter_s + self.readout_s;
+        let shutter = [pose(time_s - 0.5 * whole_s), pose(time_s + 0.5 * whole_s)];
+        let rolling = (self.readout_s / whole_s) as f32;
+        let exposure = Exposure { shutter, rolling, samples: self.samples, seed, threads: self.threads };
+        let mut picture = render::color(scene, shading, &self.camera, &exposure);
+        if let Some(glare) = &self.glare {
+            glare.add(&mut picture, scene, shading, &self.camera, &pose(time_s), seed ^ 3);
+        }
+        let gain = self.exposure.next(&self.color, &picture, time_s, rng);
+        (self.color.expose(&picture, gain, seed ^ 1), gain)
     }
 }

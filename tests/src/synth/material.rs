@@ -32,14 +32,22 @@ impl Material {
         }
         let lambert = base * ((1.0 - self.w_s) * cos_i / PI);
         let pick = self.lobe_probability();
-        if self.w_s == 0.0 {
-            return (lambert, cos_i / PI);
+        let (gloss, density) = self.evaluate_lobe(normal, outgoing, incoming);
+        (lambert + gloss, pick * density + (1.0 - pick) * cos_i / PI)
+    }
+
+    /// Reflectance · cosine of the glossy lobe alone, and the density with which [`Material::sample_lobe`] draws
+    /// `incoming`.
+    #[must_use]
+    pub fn evaluate_lobe(&self, normal: Vec3, outgoing: Vec3, incoming: Vec3) -> (f32, f32) {
+        let (cos_i, cos_o) = (normal.dot(incoming), normal.dot(outgoing));
+        if self.w_s == 0.0 || cos_i <= 0.0 || cos_o <= 0.0 {
+            return (0.0, 0.0);
         }
-        let half = (incoming + outgoing).normalize();
-        let d = ggx(normal.dot(half), self.alpha);
-        let (mask_o, both) = (1.0 / (1.0 + self.lambda(cos_o)), 1.0 / (1.0 + self.lambda(cos_o) + self.lambda(cos_i)));
-        let gloss = self.w_s * d * both / (4.0 * cos_o);
-        (lambert + gloss, pick * mask_o * d / (4.0 * cos_o) + (1.0 - pick) * cos_i / PI)
+        let d = ggx(normal.dot((incoming + outgoing).normalize()), self.alpha);
+        let (lambda_o, lambda_i) = (self.lambda(cos_o), self.lambda(cos_i));
+        let scaled = d / (4.0 * cos_o);
+        (self.w_s * scaled / (1.0 + lambda_o + lambda_i), scaled / (1.0 + lambda_o))
     }
 
     /// Draws an incoming direction.

@@ -1,7 +1,7 @@
 //! The synthetic Kinect: a small path tracer, and the sensor in front of it. It shares no code with the estimator, so
 //! that what it renders can be held against what the estimator finds.
 //!
-//! A [`scene::Scene`] is lit by an [`environment::Environment`]; [`render`] makes linear pictures and depth of it,
+//! A [`scene::Scene`] is lit by an [`environment::Environment`] and [`emitters`]; [`render`] makes linear pictures and depth of it,
 //! [`color_sensor`] and [`depth_sensor`] turn those into what a Kinect V1 would have delivered along a [`path::Arc`].
 //!
 //! ```
@@ -17,11 +17,14 @@ pub mod bvh;
 pub mod cache;
 pub mod color_sensor;
 pub mod depth_sensor;
+pub mod emitters;
 pub mod environment;
+pub mod exchange;
 mod fruit;
+pub mod glare;
 pub mod kinect;
 pub mod material;
-mod parallel;
+pub mod parallel;
 pub mod path;
 pub mod random;
 pub mod render;

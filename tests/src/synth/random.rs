@@ -27,6 +27,21 @@ impl Rng {
         (self.next() >> 40) as f32 * (1.0 / 16_777_216.0)
     }
 
+    /// Uniform in `low..high`.
+    pub fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.uniform()
+    }
+
+    /// Uniform in `0..count` (0 for an empty range).
+    pub fn below(&mut self, count: usize) -> usize {
+        ((self.uniform() * count as f32) as usize).min(count.saturating_sub(1))
+    }
+
+    /// True with a probability.
+    pub fn chance(&mut self, probability: f32) -> bool {
+        self.uniform() < probability
+    }
+
     /// Standard normal (Box–Muller).
     pub fn normal(&mut self) -> f32 {
         let radius = (-2.0 * libm::logf(1.0 - self.uniform())).sqrt();

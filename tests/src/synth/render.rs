@@ -1,6 +1,7 @@
 //! Pictures of a scene, before any sensor has touched them: linear radiance, and depth.
 
 use super::cache;
+use super::exchange::Lit;
 use super::parallel;
 use super::random::{Rng, Stratified};
 use super::scene::Scene;
@@ -17,6 +18,25 @@ pub enum Shading<'a> {
     Traced,
     /// Diffuse light looked up (from [`cache::diffuse_light`], for the vertices of the mesh), glossy lobes traced.
     Cached(&'a [Vec3]),
+    /// The same under any light, lamps included (from [`exchange`](super::exchange)).
+    Lit(&'a Lit<'a>),
+}
+
+impl Shading<'_> {
+    /// Radiance that arrives at `origin` from where the unit `direction` points.
+    #[must_use]
+    pub fn radiance(self, scene: &Scene, origin: Vec3, direction: Vec3, rng: &mut Rng) -> Vec3 {
+        match self {
+            Self::Traced => return trace::radiance(scene, origin, direction, rng),
+            Self::Lit(lit) => return lit.radiance(scene, origin, direction, rng),
+            Self::Flat | Self::Cached(_) => {}
+        }
+        match (self, scene.intersect(origin, direction)) {
+            (Self::Cached(light), Some(s)) => cache::outgoing(scene, light, s, -direction, rng),
+            (_, Some(s)) => scene.base_color(&s) * (0.5 + 0.5 * s.normal.z),
+            (_, None) => scene.environment.radiance(direction),
+        }
+    }
 }
 
 /// A linear picture or depth image, row-major.
@@ -33,8 +53,10 @@ pub struct Image<T> {
 /// How a picture is taken.
 #[derive(Debug, Clone, Copy)]
 pub struct Exposure {
-    /// Pose (world from camera) as the shutter opens and as it closes.
+    /// Pose (world from camera) as the shutter opens for the first row and as it closes for the last.
     pub shutter: [Pose; 2],
+    /// Share of that time which the readout takes from the first row to the last: 0 for a global shutter.
+    pub rolling: f32,
     /// Rays per pixel.
     pub samples: usize,
     /// Seed of this picture.
@@ -47,7 +69,7 @@ impl Exposure {
     /// A camera at rest.
     #[must_use]
     pub fn still(world_from_camera: Pose, samples: usize, threads: usize) -> Self {
-        Self { shutter: [world_from_camera; 2], samples, seed: 0, threads }
+        Self { shutter: [world_from_camera; 2], rolling: 0.0, samples, seed: 0, threads }
     }
 }
 
@@ -63,15 +85,11 @@ pub fn color(scene: &Scene, shading: Shading, camera: &Intrinsics, exposure: &Ex
             let [x, y] = points.point();
             // Moments of the shutter are stratified by sample number, so that they fall evenly on every part of a pixel.
             let moment = (sample as f32 + rng.uniform()) / exposure.samples as f32;
-            let (origin, turn) = between(&exposure.shutter, moment);
+            let row = exposure.rolling * (k / width) as f32 / height as f32;
+            let (origin, turn) = between(&exposure.shutter, row + (1.0 - exposure.rolling) * moment);
             let pixel = [(k % width) as f32 + x - 0.5, (k / width) as f32 + y - 0.5];
             let direction = (turn * ray(camera, pixel)).normalize();
-            sum += match (shading, scene.intersect(origin, direction)) {
-                (_, None) => scene.environment.radiance(direction),
-                (Shading::Flat, Some(s)) => scene.base_color(&s) * (0.5 + 0.5 * s.normal.z),
-                (Shading::Traced, Some(s)) => trace::outgoing(scene, s, -direction, &mut rng),
-                (Shading::Cached(light), Some(s)) => cache::outgoing(scene, light, s, -direction, &mut rng),
-            };
+            sum += shading.radiance(scene, origin, direction, &mut rng);
         }
         sum / exposure.samples.max(1) as f32
     });

@@ -1,6 +1,7 @@
-//! A scene: surfaces with materials and procedural textures, meshed, under a distant light.
+//! A scene: surfaces with materials and procedural textures, meshed, under distant light and lamps.
 
 use super::bvh::{Bvh, Hit};
+use super::emitters::{Emitters, Sphere};
 use super::environment::Environment;
 use super::material::Material;
 use glam::Vec3;
@@ -29,8 +30,12 @@ pub struct Scene {
     pub part_of_vertex: Vec<u16>,
     /// The parts; their meshes have moved to `mesh`.
     pub parts: Vec<Part>,
-    /// The light.
+    /// The light from far away.
     pub environment: Environment,
+    /// The light at finite distance.
+    pub emitters: Emitters,
+    /// Radiance that each part emits from its front.
+    pub emission: Vec<Vec3>,
     bvh: Bvh,
 }
 
@@ -73,7 +78,27 @@ impl Scene {
             mesh.triangles.extend(own.triangles.iter().map(|t| t.map(|i| i + first)));
         }
         let bvh = Bvh::new(&mesh);
-        Self { mesh, part_of_vertex, parts, environment, bvh }
+        let emission = vec![Vec3::ZERO; parts.len()];
+        Self { mesh, part_of_vertex, parts, environment, emitters: Emitters::default(), emission, bvh }
+    }
+
+    /// Adds lights at finite distance: spheres beside the mesh, and parts (by index) that emit from their front.
+    #[must_use]
+    pub fn with_emitters(mut self, spheres: Vec<Sphere>, parts: &[(usize, Vec3)]) -> Self {
+        for &(part, radiance) in parts {
+            self.emission[part] = radiance;
+        }
+        let radiance = |t: &[u32; 3]| self.emission[usize::from(self.part_of_vertex[t[0] as usize])];
+        let emitting = self.mesh.triangles.iter().filter(|t| radiance(t) != Vec3::ZERO);
+        let patches = emitting.map(|t| (t.map(|i| self.mesh.positions[i as usize]), radiance(t)));
+        self.emitters = Emitters::new(spheres, patches);
+        self
+    }
+
+    /// Radiance that a surface emits towards the ray that found it.
+    #[must_use]
+    pub fn emitted(&self, surface: &Surface) -> Vec3 {
+        if surface.outside { self.emission[surface.part] } else { Vec3::ZERO }
     }
 
     /// The first surface along a ray with a unit direction.
@@ -110,6 +135,12 @@ impl Scene {
     #[must_use]
     pub fn lit(&self, from: Vec3, normal: Vec3, direction: Vec3) -> bool {
         !self.bvh.occluded(from + normal * OFFSET_M, direction, f32::INFINITY)
+    }
+
+    /// True if nothing stands on the way of `distance` metres towards a light.
+    #[must_use]
+    pub fn reached(&self, from: Vec3, normal: Vec3, direction: Vec3, distance: f32) -> bool {
+        !self.bvh.occluded(from + normal * OFFSET_M, direction, distance * (1.0 - 1e-3) - OFFSET_M)
     }
 
     /// The surface that a ray leaving a surface point meets.

@@ -48,7 +48,8 @@ pub fn cuboid(low: Vec3, high: Vec3, cell: f32, inwards: bool) -> Mesh {
     mesh
 }
 
-fn append(mesh: &mut Mesh, more: Mesh) {
+/// Adds a mesh to another.
+pub fn append(mesh: &mut Mesh, more: Mesh) {
     let first = mesh.positions.len() as u32;
     mesh.positions.extend(more.positions);
     mesh.normals.extend(more.normals);

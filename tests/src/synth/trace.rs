@@ -1,5 +1,5 @@
-//! The path tracer: many bounces, next-event estimation towards the environment, multiple importance sampling,
-//! Russian roulette.
+//! The path tracer: many bounces, next-event estimation towards the environment (with multiple importance sampling) and
+//! towards lights at finite distance, Russian roulette.
 
 use super::environment::Environment;
 use super::random::Rng;
@@ -14,13 +14,16 @@ const SURE_BOUNCES: usize = 3;
 /// Radiance that arrives at `origin` from where the unit `direction` points.
 #[must_use]
 pub fn radiance(scene: &Scene, origin: Vec3, direction: Vec3, rng: &mut Rng) -> Vec3 {
-    match scene.intersect(origin, direction) {
-        Some(surface) => outgoing(scene, surface, -direction, rng),
-        None => scene.environment.radiance(direction),
+    let surface = scene.intersect(origin, direction);
+    let limit = surface.as_ref().map_or(f32::INFINITY, |s| s.distance);
+    match (scene.emitters.along(origin, direction), surface) {
+        (Some((distance, radiance)), _) if distance < limit => radiance,
+        (_, Some(surface)) => scene.emitted(&surface) + outgoing(scene, surface, -direction, rng),
+        (_, None) => scene.environment.radiance(direction),
     }
 }
 
-/// Radiance that leaves a surface point towards the unit direction `towards`.
+/// Radiance that a surface point reflects towards the unit direction `towards`.
 #[must_use]
 pub fn outgoing(scene: &Scene, surface: Surface, towards: Vec3, rng: &mut Rng) -> Vec3 {
     let (mut surface, mut towards) = (surface, towards);
@@ -31,6 +34,16 @@ pub fn outgoing(scene: &Scene, surface: Surface, towards: Vec3, rng: &mut Rng) -
         let (reflected, own) = material.evaluate(base, surface.normal, towards, direction);
         if reflected != Vec3::ZERO && scene.lit(surface.position, surface.facet, direction) {
             sum += throughput * reflected * scene.environment.radiance(direction) * (heuristic(density, own) / density);
+        }
+        for light in 0..scene.emitters.count() {
+            let u = [rng.uniform(), rng.uniform()];
+            let Some(drawn) = scene.emitters.draw(light, surface.position, u) else { continue };
+            let (reflected, _) = material.evaluate(base, surface.normal, towards, drawn.direction);
+            if reflected != Vec3::ZERO
+                && scene.reached(surface.position, surface.facet, drawn.direction, drawn.distance)
+            {
+                sum += throughput * reflected * drawn.weight;
+            }
         }
         let u = [rng.uniform(), rng.uniform()];
         let direction = material.sample(surface.normal, towards, u, rng.uniform());
