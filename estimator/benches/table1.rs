@@ -10,12 +10,12 @@ mod usage;
 
 use estimator::Options;
 use estimator::association;
-use estimator::factorisation::{Colors, Settings, factorise};
+use estimator::factorisation::{Colors, FactorisationOptions, factorise};
 use estimator::mesh::regularise;
 use estimator::numerics::sh;
 use estimator::rays::RayScene;
 use estimator::segmentation;
-use estimator::transfer;
+use estimator::transfer::{self, Tracer};
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::{DVec2, Vec3};
 use recordings::import::photos::import_photos;
@@ -73,20 +73,22 @@ fn main() {
         let (segment, segmentation) =
             timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
-        let (traced, shade) = timed(|| transfer::trace(&mesh, &scene, sh::MAX_BANDS, RAYS, config.seed, &|_| ()));
+        let tracer = Tracer { mesh: &mesh, scene: &scene, bands: sh::MAX_BANDS, seed: config.seed };
+        let (traced, shade) = timed(|| tracer.trace(RAYS, &|_| ()));
         let (_, bounces) = timed(|| transfer::bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0));
         let gi = shade + bounces;
         let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
         let colors =
             Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
-        let settings = Settings {
+        let options = FactorisationOptions {
             gi: true,
             bands: sh::MAX_BANDS,
-            most_bands: sh::MAX_BANDS,
+            max_bands: sh::MAX_BANDS,
             bounces: 0,
             solver: SolverChoice::Robust,
+            tuning: &config.tuning.factorisation,
         };
-        let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &settings, None));
+        let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &options, None));
         drop(fields);
         let options = Options { budget: Duration::from_secs(3600), rounds: None };
         let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &()).expect("an answer"));

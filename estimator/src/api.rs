@@ -1,25 +1,25 @@
-//! What a caller of the estimator gives and gets besides scan and result: options, progress, errors.
+//! Options, progress and errors of the estimator.
 
 use std::time::Duration;
 
 /// Why there is no result.
 #[derive(Debug, thiserror::Error)]
 pub enum EstimateError {
-    /// The scan holds nothing that could be estimated from.
+    /// The scan has no triangle, or no keyframe that shows any of it.
     #[error("{0}")]
     Unusable(String),
 }
 
-/// What a run may spend.
+/// Effort of a run.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Wall time from start to result.
+    /// Time from start to result.
     pub budget: Duration,
-    /// Fixed number of ray rounds: replaces the clock, and the result is byte-identical.
+    /// Fixed number of ray rounds in place of the clock: the result is byte-identical on every machine.
     pub rounds: Option<u32>,
 }
 
-/// Told about every stage as it goes.
+/// Gets the progress of every stage.
 pub trait Progress: Sync {
     /// `fraction` of stage `name` is done (0 at its start, 1 at its end).
     fn stage(&self, name: &'static str, fraction: f64);

@@ -1,4 +1,7 @@
-//! Estimates light and materials from a scan (§3.1 second half – §3.4).
+//! Estimates light and materials from a scan (§3.1 second half – §3.4 of the paper).
+//!
+//! A mesh, keyframes with poses and a camera response go in; a regular mesh with segments, albedo per vertex, specular weights
+//! per segment and distant light as spherical harmonics come out. [`estimate`] reads like the paper's section list.
 //!
 //! ```
 //! use estimator::{Options, estimate};
@@ -34,10 +37,11 @@ pub mod sweep;
 pub mod transfer;
 pub mod validation;
 
-use crate::budget::{Machine, Plan, WallClock};
+use crate::budget::{Machine, WallClock};
 use crate::factorisation::factorise;
-use crate::specular::Gloss;
-use firmware_config::{EstimatorConfig, Switch};
+use crate::factorisation::scale;
+use crate::stages::Run;
+use firmware_config::EstimatorConfig;
 use recordings::decision::Warning;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -48,7 +52,7 @@ pub use api::{EstimateError, Options, Progress};
 /// Estimates light and materials on this machine.
 ///
 /// # Errors
-/// The scan is unusable: no vertices, or no keyframe that can be read.
+/// The scan is unusable: no triangle, or no keyframe that shows any of it.
 pub fn estimate(
     scan: &Scan,
     config: &EstimatorConfig,
@@ -58,10 +62,10 @@ pub fn estimate(
     estimate_on(&WallClock::start(), scan, config, options, progress)
 }
 
-/// Estimates light and materials, with `machine` to tell the time. Reads like the paper's section list.
+/// Estimates light and materials with `machine` as the clock.
 ///
 /// # Errors
-/// The scan is unusable: no vertices, or no keyframe that can be read.
+/// The scan is unusable: no triangle, or no keyframe that shows any of it.
 pub fn estimate_on(
     machine: &dyn Machine,
     scan: &Scan,
@@ -70,69 +74,46 @@ pub fn estimate_on(
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
     let config = &budget::at_quality(config);
-    let mut plan = Plan::new(machine, options, config, stages::size(scan, config));
+    let mut run = Run::new(machine, scan, config, options, progress);
 
-    // §3.1: a regular mesh, and the keyframes' colours on it (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
-    let mut ready = stages::prepare(scan, config, &mut plan, progress)?;
+    // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
+    let mut prepared = stages::prepare(scan, &mut run)?;
 
     // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
-    let traced = stages::transfer(&ready, config, options, &mut plan, progress);
-    let settled = stages::settle(&mut ready, traced, config, options, &mut plan, progress);
-    let (traced, settings) = (settled.traced, settled.settings);
-    let mut found = factorise(Arc::clone(&traced), &ready.colors(), &settings, settled.start);
-    plan.light_done(traced.mean_blocked(), settings.bands);
+    let traced = stages::trace(&prepared, &mut run);
+    let model = stages::select_model(&mut prepared, traced, &mut run);
+    let found = factorise(Arc::clone(&model.traced), &prepared.colors(), &model.options, model.start);
+    run.plan.light_done(model.traced.mean_blocked(), model.options.bands);
 
-    // §3.4: specular weights (Eq. 13); lit colours without gloss are factorised once more.
-    let lit_with_gloss = ready.fields.lit_color.clone();
-    let mut gloss = vec![Gloss::NONE; ready.segments];
-    if config.specular != Switch::Off && plan.specular(settings.bands) {
-        progress.stage("specular", 0.0);
-        let decisions;
-        (found, gloss, decisions) =
-            specular::refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
-        ready.decisions.extend(decisions);
-        plan.specular_done(settings.bands);
-        if gloss.iter().any(|g| g.significant) {
-            found = stages::refine(&mut ready, found, &settings, config, options, &mut plan, progress);
-        }
-    }
+    // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
+    let lit_with_gloss = prepared.fields.lit_color.clone();
+    let answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
 
-    // The assumption that it all rests on, and frames that no step used.
-    let (decision, near) = factorisation::distance_check::check(
-        &ready.mesh,
-        &ready.fields,
-        &ready.segment,
-        &found,
-        &config.tuning.distance_check,
-    );
-    ready.decisions.push(decision);
-    let mut warnings = std::mem::take(&mut ready.warnings);
-    warnings.extend(near);
-    progress.stage("witnesses", 0.0);
-    let witnesses = stages::witnesses(&mut ready, scan, &found, &gloss, &lit_with_gloss, config, &mut plan);
-    ready.decisions.push(stages::transfer_decision(&found));
-    if scan.keyframes.len() < 2 {
-        warnings.push(Warning::OneKeyframe);
-    }
-    warnings.extend(stages::unseen_light(&found));
-    plan.writing();
+    // Checks: the assumption of distant light, and frames that no step used.
+    stages::check_distance(&mut prepared, &answer.found, config);
+    let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
+    prepared.decisions.push(stages::transfer_decision(&answer.found, config));
+    prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
+    prepared.warnings.extend(stages::unseen_light(&answer.found, config));
+
+    run.plan.writing();
     progress.stage("done", 1.0);
     Ok(Estimate {
         name: scan.name.clone(),
         response: scan.sensor.response,
-        keyframes: stages::keyframes(scan, &ready),
-        segments: stages::segment_table(&ready.segment, &found, &gloss),
-        light: stages::light(&ready, &found, &gloss),
-        transfer: stages::transfer_level(&found),
-        mesh: ready.mesh,
-        segment: ready.segment,
-        lit_color: ready.fields.lit_color,
-        albedo: found.detail.albedo,
-        confidence: found.detail.confidence,
-        decisions: ready.decisions,
-        cuts: plan.cuts(),
-        warnings,
-        albedo_scale_rule: factorisation::SCALE_RULE.into(),
+        keyframes: stages::keyframes(scan, &prepared),
+        segments: stages::segments(&prepared.segment, &answer.found, &answer.gloss),
+        light: stages::light(&prepared, &answer, config),
+        transfer: stages::transfer_level(&answer.found),
+        mesh: prepared.mesh,
+        segment: prepared.segment,
+        lit_color: prepared.fields.lit_color,
+        albedo: answer.found.detail.albedo,
+        confidence: answer.found.detail.confidence,
+        decisions: prepared.decisions,
+        cuts: run.plan.cuts(),
+        warnings: prepared.warnings,
+        albedo_scale_rule: scale::rule(&config.tuning.factorisation),
         witnesses,
     })
 }

@@ -1,180 +1,116 @@
-//! Model only what the scene requires (DESIGN §7): bands, transfer and rays by evidence from this scene.
+//! Model only what the scene requires (§7 of the design): bands, transfer and rays, by evidence from this scene.
 
-use crate::factorisation::robust_solver::{self, DARK_FLOOR, Observed, Solution};
-use crate::factorisation::{self, Colors, Factorised, MID_GREY, Start};
+use crate::factorisation::{Colors, Factorised, Observed, Solution, Start, held_out, robust_solver, start_from};
 use crate::numerics::robust::{SampleMean, median};
-use crate::rays::RayScene;
-use crate::transfer::{self, ERROR_OF_TWICE, Pilot, Traced, Transfer};
+use crate::transfer::{self, ERROR_OF_TWICE, Traced, Transfer};
+use firmware_config::tuning::{EstimatorTuning, ModelSelectionTuning};
 use firmware_config::{EstimatorConfig, TransferChoice};
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::decision::{BandsGain, Decision};
-use recordings::types::Mesh;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-/// Bands that are tried upward from the first, until so many levels in a row bring no gain …
+/// Bands tried upwards from the first, …
 const UPWARD: [usize; 4] = [3, 5, 7, 9];
-const PATIENCE: usize = 2;
-/// … and, where the first was not exceeded, downward while nothing is lost.
+/// … and downwards, if the first is chosen, while nothing is lost.
 const DOWNWARD: [usize; 2] = [2, 1];
-/// A level is better if its gain on what was left out exceeds this many standard errors of that gain.
-const SIGNIFICANT: f64 = 1.0;
-/// … and this: colours of eight bits are rounded by ten times as much.
-const LEAST_GAIN: f64 = 2e-4;
-/// Relative errors count up to this.
-const CAPPED: f64 = 0.5;
-/// Vertices of the pilot.
-const PILOT_VERTICES: usize = 1024;
-/// Rays of the pilot, and those that every selection begins with.
-pub const PILOT_RAYS: u32 = 64;
-/// The transfer's relative standard error may be this share of what is left unexplained: a tenth of the variance.
-const TRANSFER_SHARE: f64 = 0.316;
-/// Most rays that are chosen.
-const MOST_RAYS: u32 = 1024;
-/// Error with which a lit colour is known, however often it was seen: bounced light below it cannot be told.
-const COLOR_ERROR: f64 = 0.01;
 
-/// What a few rays tell of the scene.
+/// Rays per vertex with which the error of the transfer is a small share of the held-out error: `traced.rays` times a power of
+/// two.
 #[must_use]
-pub fn pilot(mesh: &Mesh, scene: &RayScene, seed: u32) -> Pilot {
-    transfer::pilot(mesh, scene, PILOT_VERTICES, PILOT_RAYS, seed)
-}
-
-/// Rays per vertex with which the transfer errs by a small part of what light and albedo leave unexplained on vertices
-/// that were left out: a power of two times [`PILOT_RAYS`].
-#[must_use]
-pub fn rays(traced: &Traced, held_out: f64) -> u32 {
+pub fn rays(traced: &Traced, held_out: f64, tuning: &ModelSelectionTuning) -> u32 {
     let mut rays = traced.rays;
     let mut error = traced.relative_error();
-    while error > TRANSFER_SHARE * held_out && rays < MOST_RAYS {
+    while error > tuning.transfer_error_share * held_out && rays < tuning.max_rays {
         rays *= 2;
         error *= ERROR_OF_TWICE;
     }
     rays
 }
 
-/// Mean relative error of an answer on vertices that were left out of it.
+/// Mean relative error of a factorisation on held-out vertices.
 #[must_use]
-pub fn held_out(found: &Factorised, evidence: &Colors) -> f64 {
-    mean(&left_out(evidence, &floors(evidence), &found.solution.albedo, &found.irradiance))
+pub fn held_out_error(found: &Factorised, colors: &Colors, tuning: &EstimatorTuning) -> f64 {
+    mean(&HeldOut::new(colors, tuning).errors(&found.solution.albedo, &found.irradiance))
 }
 
-/// Rays are traced if more are blocked than colours err.
+/// True if visibility is ignored: fewer rays are blocked than colours err.
 #[must_use]
 pub fn is_open(config: &EstimatorConfig, blocked: f64) -> bool {
     match config.transfer {
         TransferChoice::Diffuse => true,
-        TransferChoice::Auto => blocked < COLOR_ERROR,
+        TransferChoice::Auto => blocked < config.tuning.model_selection.color_error,
         _ => false,
     }
 }
 
-/// Whether interreflection is modelled: if the light of one bounce between mid-grey surfaces stands out of the error of
-/// the rays and of the colours.
+/// True if interreflection is modelled: one bounce between grey surfaces exceeds the errors of rays and colours.
 #[must_use]
 pub fn interreflects(config: &EstimatorConfig, traced: &Traced) -> bool {
     match config.transfer {
         TransferChoice::Gi => true,
         TransferChoice::Shade | TransferChoice::Diffuse => false,
-        TransferChoice::Auto => traced.mean_blocked() > config.gi_from_blocked && grey_bounce(traced) > COLOR_ERROR,
+        TransferChoice::Auto => {
+            traced.mean_blocked() > config.gi_from_blocked
+                && grey_bounce(traced, config) > config.tuning.model_selection.color_error
+        }
     }
 }
 
-/// Share of the light that one bounce between mid-grey surfaces brings.
+/// Share of one bounce between grey surfaces in the light.
 #[must_use]
-pub fn grey_bounce(traced: &Traced) -> f64 {
-    transfer::bounce(traced, &vec![Vec3::splat(MID_GREY); traced.vertices()], 1).share
+pub fn grey_bounce(traced: &Traced, config: &EstimatorConfig) -> f64 {
+    transfer::bounce(traced, &grey(traced, &config.tuning), 1).share
 }
 
-/// The fewest bands of a range that nothing above in it predicts the held-out vertices significantly better than.
-#[must_use]
-pub fn bands(
-    traced: &Arc<Traced>,
-    evidence: &Colors,
-    gi: bool,
-    bounces: u32,
-    range: std::ops::RangeInclusive<usize>,
-) -> Selected {
-    let (least, most) = range.into_inner();
-    let grey = || vec![Vec3::splat(MID_GREY); traced.vertices()];
-    let bounced = gi.then(|| transfer::bounce_and_rest(traced, &grey(), bounces));
-    let transfer = Transfer { traced: Arc::clone(traced), bounced };
-    let observed = evidence.under(&transfer);
-    let floors = floors(evidence);
-    let level = |n: usize, fewer: Option<&Level>| Level::new(&observed, evidence, &floors, n, fewer);
-    let mut tried = Vec::new();
-    let mut note = |l: &Level| tried.push((l.bands as u32, l.error()));
-    let mut best = level(UPWARD[0].clamp(least, most), None);
-    note(&best);
-    let mut next: Option<(usize, SampleMean)> = None;
-    let mut without = 0;
-    for n in UPWARD.into_iter().skip(1).chain([most]).filter(|n| *n <= most) {
-        if n <= best.bands || without >= PATIENCE || next.is_some_and(|(tried, _)| n <= tried) {
-            continue;
-        }
-        let higher = level(n, Some(&best));
-        note(&higher);
-        let gain = higher.gain_over(&best);
-        if is_significant(&gain) {
-            (best, next, without) = (higher, None, 0);
-        } else {
-            (next, without) = (next.or(Some((n, gain))), without + 1);
-        }
-    }
-    if best.bands <= UPWARD[0] {
-        let first = best.bands;
-        for n in DOWNWARD.into_iter().filter(|n| (least..first).contains(n)) {
-            let lower = level(n, None);
-            note(&lower);
-            let gain = best.gain_over(&lower);
-            if is_significant(&gain) {
-                break;
-            }
-            next = Some((best.bands, gain));
-            best = lower;
-        }
-    }
-    tried.sort_unstable_by_key(|t| t.0);
-    let chosen = best.bands;
-    let decision = Decision::Bands {
-        chosen: chosen as u32,
-        held_out: tried,
-        condition: best.condition,
-        next: next.map(|(n, g)| BandsGain { bands: n as u32, gain: g.mean, standard_error: g.error }),
-    };
-    let held_out = best.error();
-    let start = factorisation::start_from(transfer, evidence, best.solution);
-    Selected { bands: chosen, held_out, decision, start }
+fn grey(traced: &Traced, tuning: &EstimatorTuning) -> Vec<Vec3> {
+    vec![Vec3::splat(tuning.factorisation.initial_albedo as f32); traced.vertices()]
 }
 
-/// Bands, why, and the solution with them, whose bounced light is that of mid-grey surfaces.
+/// Limits of the selection of bands.
+pub struct BandLimits {
+    /// Interreflection is modelled.
+    pub gi: bool,
+    /// Bounces; 0 = until convergence.
+    pub bounces: u32,
+    /// Bands that may be chosen.
+    pub bands: RangeInclusive<usize>,
+}
+
+/// The bands chosen, and a solution with them under the bounced light of grey surfaces.
 pub struct Selected {
     /// SH bands.
     pub bands: usize,
-    /// Mean relative error on vertices that were left out.
+    /// Mean relative error on held-out vertices.
     pub held_out: f64,
-    /// Why.
+    /// The evidence.
     pub decision: Decision,
-    /// Where the factorisation may go on from.
+    /// A start for the factorisation.
     pub start: Start,
 }
 
-/// What errors are relative to at least, per segment.
-fn floors(evidence: &Colors) -> Vec<f64> {
-    let mut colors: Vec<Vec<f64>> = vec![Vec::new(); evidence.segments];
-    for ((f, weight), segment) in evidence.lit_color.iter().zip(evidence.lit_weight).zip(evidence.segment) {
-        if *weight > 0.0 && f.is_finite() {
-            colors[*segment as usize].push(f64::from(f.element_sum() / 3.0));
-        }
-    }
-    colors.into_iter().map(|values| DARK_FLOOR * median(values).unwrap_or(0.0)).collect()
+/// The fewest bands such that no tried level above predicts the held-out vertices significantly better.
+#[must_use]
+pub fn bands(traced: &Arc<Traced>, colors: &Colors, limits: &BandLimits, tuning: &EstimatorTuning) -> Selected {
+    let bounced = limits.gi.then(|| transfer::bounce_scaled(traced, &grey(traced, tuning), limits.bounces));
+    let transfer = Transfer { traced: Arc::clone(traced), bounced };
+    let trials = Trials { observed: colors.under(&transfer), held_out: HeldOut::new(colors, tuning), tuning };
+    let mut tried = Vec::new();
+    let Search { best, next } = trials.search(*limits.bands.start(), *limits.bands.end(), &mut tried);
+    tried.sort_unstable_by_key(|t| t.0);
+    let decision = Decision::Bands {
+        chosen: best.bands as u32,
+        held_out: tried,
+        condition: best.solution.condition,
+        next: next.map(|(n, g)| BandsGain { bands: n as u32, gain: g.mean, standard_error: g.error }),
+    };
+    let (bands, held_out) = (best.bands, best.error());
+    let start = start_from(transfer, colors, best.solution, &tuning.factorisation);
+    Selected { bands, held_out, decision, start }
 }
 
-fn is_significant(gain: &SampleMean) -> bool {
-    gain.mean > SIGNIFICANT * gain.error && gain.mean > LEAST_GAIN
-}
-
-/// A block that was left out, with the sum of its relative errors and its vertices.
+/// Held-out vertices of one block: block, sum of the relative errors, number of vertices.
 type Block = (u32, f64, f64);
 
 fn mean(blocks: &[Block]) -> f64 {
@@ -182,60 +118,138 @@ fn mean(blocks: &[Block]) -> f64 {
     sum / f64::max(count, 1.0)
 }
 
-/// What light and segments' albedo leave unexplained of the vertices that were left out.
-fn left_out(evidence: &Colors, floors: &[f64], albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<Block> {
-    let errors: Vec<Option<(u32, f64)>> = (0..evidence.lit_color.len())
-        .into_par_iter()
-        .map(|i| {
-            let block = robust_solver::held_out_block(i as u32)?;
-            let f = evidence.lit_color[i];
-            if evidence.lit_weight[i] <= 0.0 || !f.is_finite() || f.max_element() <= 0.0 {
-                return None;
-            }
-            let segment = evidence.segment[i] as usize;
-            let size = (f64::from(f.element_sum()) / 3.0).max(floors[segment]);
-            let off = |c: usize| (f64::from(f[c]) - albedo[segment][c] * f64::from(irradiance[i][c])).abs();
-            Some((block, ((off(0) + off(1) + off(2)) / (3.0 * size)).min(CAPPED)))
-        })
-        .collect();
-    let mut blocks: Vec<Block> = Vec::new();
-    for (block, error) in errors.into_iter().flatten() {
-        match blocks.last_mut() {
-            Some(last) if last.0 == block => {
-                last.1 += error;
-                last.2 += 1.0;
-            }
-            _ => blocks.push((block, error, 1.0)),
-        }
-    }
-    blocks
+/// The held-out vertices.
+struct HeldOut<'a> {
+    colors: &'a Colors<'a>,
+    /// Smallest brightness that errors are relative to: `[segment]`.
+    floors: Vec<f64>,
+    max_error: f64,
 }
 
-/// One number of bands, and how well it predicts what was left out.
+impl<'a> HeldOut<'a> {
+    fn new(colors: &'a Colors, tuning: &EstimatorTuning) -> Self {
+        let mut brightness: Vec<Vec<f64>> = vec![Vec::new(); colors.segments];
+        for ((f, weight), segment) in colors.lit_color.iter().zip(colors.lit_weight).zip(colors.segment) {
+            if *weight > 0.0 && f.is_finite() {
+                brightness[*segment as usize].push(f64::from(f.element_sum() / 3.0));
+            }
+        }
+        let floor = |values: Vec<f64>| tuning.factorisation.dark_floor * median(values).unwrap_or(0.0);
+        let floors = brightness.into_iter().map(floor).collect();
+        Self { colors, floors, max_error: tuning.model_selection.max_error }
+    }
+
+    /// Relative errors of albedo × irradiance by blocks. `albedo` is `[segment][channel]`, `irradiance` over π is `[vertex]`.
+    fn errors(&self, albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<Block> {
+        let colors = self.colors;
+        let errors: Vec<Option<(u32, f64)>> = (0..colors.lit_color.len())
+            .into_par_iter()
+            .map(|i| {
+                let block = held_out::block(i as u32)?;
+                let f = colors.lit_color[i];
+                if colors.lit_weight[i] <= 0.0 || !f.is_finite() || f.max_element() <= 0.0 {
+                    return None;
+                }
+                let segment = colors.segment[i] as usize;
+                let size = (f64::from(f.element_sum()) / 3.0).max(self.floors[segment]);
+                let off = |c: usize| (f64::from(f[c]) - albedo[segment][c] * f64::from(irradiance[i][c])).abs();
+                Some((block, ((off(0) + off(1) + off(2)) / (3.0 * size)).min(self.max_error)))
+            })
+            .collect();
+        let mut blocks: Vec<Block> = Vec::new();
+        for (block, error) in errors.into_iter().flatten() {
+            match blocks.last_mut() {
+                Some(last) if last.0 == block => {
+                    last.1 += error;
+                    last.2 += 1.0;
+                }
+                _ => blocks.push((block, error, 1.0)),
+            }
+        }
+        blocks
+    }
+}
+
+/// One number of bands, with its solution and its errors on held-out vertices.
 struct Level {
     bands: usize,
     blocks: Vec<Block>,
-    condition: f64,
     solution: Solution,
 }
 
 impl Level {
-    /// Goes on from `fewer` bands where those are enough to choose the pull by.
-    fn new(observed: &Observed, evidence: &Colors, floors: &[f64], bands: usize, fewer: Option<&Self>) -> Self {
-        let start = fewer.filter(|f| f.bands >= robust_solver::PULL_BANDS).map(|f| &f.solution);
-        let solution = robust_solver::solve(observed, bands, start);
-        let irradiance = observed.transfer.irradiance(&solution.light);
-        let blocks = left_out(evidence, floors, &solution.albedo, &irradiance);
-        Self { bands, blocks, condition: solution.condition, solution }
-    }
-
     fn error(&self) -> f64 {
         mean(&self.blocks)
     }
 
-    /// How much lower the error is than with `other`, over the same blocks.
+    /// How much lower the error is than that of `other`, over the same blocks.
     fn gain_over(&self, other: &Self) -> SampleMean {
         let gains: Vec<f64> = self.blocks.iter().zip(&other.blocks).map(|(a, b)| (b.1 - a.1) / a.2).collect();
         SampleMean::of(&gains)
+    }
+}
+
+/// The level chosen, and the gain of the next level up, if one was tried.
+struct Search {
+    best: Level,
+    next: Option<(usize, SampleMean)>,
+}
+
+/// Solves with different numbers of bands.
+struct Trials<'a> {
+    observed: Observed<'a>,
+    held_out: HeldOut<'a>,
+    tuning: &'a EstimatorTuning,
+}
+
+impl Trials<'_> {
+    /// Tries bands from 3 upwards, then downwards. `tried` gets bands and held-out error of each level.
+    fn search(&self, least: usize, most: usize, tried: &mut Vec<(u32, f64)>) -> Search {
+        let mut best = self.level(UPWARD[0].clamp(least, most), None, tried);
+        let mut next: Option<(usize, SampleMean)> = None;
+        let mut without = 0;
+        for n in UPWARD.into_iter().skip(1).chain([most]).filter(|n| *n <= most) {
+            let patient = without < self.tuning.model_selection.patience;
+            if n <= best.bands || !patient || next.is_some_and(|(tried, _)| n <= tried) {
+                continue;
+            }
+            let higher = self.level(n, Some(&best), tried);
+            let gain = higher.gain_over(&best);
+            if self.is_significant(&gain) {
+                (best, next, without) = (higher, None, 0);
+            } else {
+                (next, without) = (next.or(Some((n, gain))), without + 1);
+            }
+        }
+        if best.bands <= UPWARD[0] {
+            let first = best.bands;
+            for n in DOWNWARD.into_iter().filter(|n| (least..first).contains(n)) {
+                let lower = self.level(n, None, tried);
+                let gain = best.gain_over(&lower);
+                if self.is_significant(&gain) {
+                    break;
+                }
+                next = Some((best.bands, gain));
+                best = lower;
+            }
+        }
+        Search { best, next }
+    }
+
+    /// One level; continues `fewer` bands if these are enough to choose the regularisation by.
+    fn level(&self, bands: usize, fewer: Option<&Level>, tried: &mut Vec<(u32, f64)>) -> Level {
+        let tuning = &self.tuning.factorisation;
+        let start = fewer.filter(|f| f.bands >= tuning.regularisation_bands as usize).map(|f| &f.solution);
+        let solution = robust_solver::solve(&self.observed, bands, start, tuning);
+        let irradiance = self.observed.transfer.irradiance(&solution.light);
+        let blocks = self.held_out.errors(&solution.albedo, &irradiance);
+        let level = Level { bands, blocks, solution };
+        tried.push((bands as u32, level.error()));
+        level
+    }
+
+    fn is_significant(&self, gain: &SampleMean) -> bool {
+        let tuning = &self.tuning.model_selection;
+        gain.mean > tuning.min_significance * gain.error && gain.mean > tuning.min_gain
     }
 }

@@ -1,4 +1,5 @@
-//! How well frames that no step used are predicted: the model re-rendered into their view.
+//! Validation frames (`witnesses` in files): frames that no estimation step used, compared with the model rendered into their
+//! view.
 
 use crate::association::keyframe_image::{KeyframeImage, distorted};
 use crate::association::pose;
@@ -14,46 +15,40 @@ use recordings::decision::Decision;
 use recordings::result::WitnessError;
 use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose, Response};
 
-/// Pixels of a frame that are looked at, along each side: every so manieth.
-const STRIDE: usize = 2;
-
-/// What is re-rendered.
+/// The model that is rendered.
 #[derive(Clone, Copy)]
 pub struct Model<'a> {
     /// Mesh, rays and light.
     pub reflection: Reflection<'a>,
-    /// Lit colours.
+    /// Lit colour, linear RGB: `[vertex]`.
     pub lit_color: &'a [Vec3],
-    /// Weight behind them; 0 = never seen.
+    /// Weight of the lit colour, 0 = never seen: `[vertex]`.
     pub lit_weight: &'a [f32],
-    /// Albedo × irradiance.
+    /// Albedo × irradiance over π, linear RGB: `[vertex]`.
     pub diffuse: &'a [Vec3],
-    /// Segment of every vertex.
+    /// Segment index: `[vertex]`.
     pub segment: &'a [u32],
-    /// Specular weights per segment.
+    /// Specular weights: `[segment]`.
     pub gloss: &'a [Gloss],
 }
 
-/// How well one witness frame is predicted, and what stands between.
+/// Prediction of one validation frame, and what limits it.
 #[derive(Debug, Clone)]
 pub struct Compared {
-    /// From the pose that its own picture tells, if poses are refined at all.
+    /// Errors from the refined pose, if poses are refined, else from the tracked one.
     pub error: WitnessError,
-    /// From the pose it was tracked at: PSNR of the lit colours and of the model.
-    pub as_tracked: [f64; 2],
-    /// PSNR of its own colours brought onto the mesh and back: what poses, exposures and the model have no part in.
+    /// PSNR from the tracked pose, dB: lit colours, model.
+    pub tracked_psnr_db: [f64; 2],
+    /// PSNR of the frame's own colours, brought onto the mesh and back, dB: a bound that the mesh sets.
     pub own_psnr_db: f64,
-    /// RMS distance between both poses' pixels.
+    /// RMS distance between the pixels of the two poses.
     pub moved_px: f64,
 }
 
-/// One pixel: the picture's linear colour, the lit colour, the model's colour.
+/// One pixel, linear RGB: observed, lit colour, model.
 type Triple = [[f64; 3]; 3];
 
-/// Rounds of gain and pose.
-const ROUNDS: usize = 2;
-
-/// Compares one witness frame; `None` if its picture cannot be read.
+/// Compares one validation frame with the model; `None` if its picture cannot be decoded.
 #[must_use]
 pub fn compare(
     model: &Model,
@@ -63,12 +58,14 @@ pub fn compare(
 ) -> Option<Compared> {
     let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
     let tracked = frame.world_from_camera;
-    let seen = |model: &Model, pose: &Pose| pixels(model, context, &picture, &frame.camera, pose);
+    let stride = config.tuning.validation.pixel_stride as usize;
+    let image = ValidationImage { picture: &picture, lens: &frame.camera, stride };
+    let seen = |model: &Model, pose: &Pose| pixels(model, context, &image, pose);
     let first = seen(model, &tracked);
     let mut view = RefinedView { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
     let mut found = first.clone();
     if config.refine_poses != Switch::Off {
-        for _ in 0..ROUNDS {
+        for _ in 0..config.tuning.validation.rounds {
             view.world_from_camera = pose::located(context, &picture, model.lit_color, model.lit_weight, &view);
             found = seen(model, &view.world_from_camera);
             view.gain = gains(&found, 1);
@@ -76,23 +73,22 @@ pub fn compare(
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
     let own = seen(&Model { lit_color: &own_color, lit_weight: &own_weight, ..*model }, &view.world_from_camera);
-    let looked_at =
-        (picture.camera.width as usize).div_ceil(STRIDE) * (picture.camera.height as usize).div_ceil(STRIDE);
+    let compared = (picture.camera.width as usize).div_ceil(stride) * (picture.camera.height as usize).div_ceil(stride);
     let error = WitnessError {
         name: frame.name.clone(),
         lit_psnr_db: psnr(&found, 1),
         model_psnr_db: psnr(&found, 2),
-        coverage: if looked_at > 0 { found.len() as f64 / looked_at as f64 } else { 0.0 },
+        coverage: if compared > 0 { found.len() as f64 / compared as f64 } else { 0.0 },
     };
     Some(Compared {
         error,
-        as_tracked: [psnr(&first, 1), psnr(&first, 2)],
+        tracked_psnr_db: [psnr(&first, 1), psnr(&first, 2)],
         own_psnr_db: psnr(&own, 1),
         moved_px: shift(context, &picture.camera, &tracked, &view.world_from_camera),
     })
 }
 
-/// What stands between the witnesses and their predictions.
+/// Means over the validation frames; `None` without frames.
 #[must_use]
 pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decision> {
     let mean = |of: &dyn Fn(&Compared) -> f64| compared.iter().map(of).sum::<f64>() / compared.len() as f64;
@@ -102,25 +98,28 @@ pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decis
         lit_psnr_db: mean(&|c| c.error.lit_psnr_db),
         model_psnr_db: mean(&|c| c.error.model_psnr_db),
         moved_px: mean(&|c| c.moved_px),
-        tracked_lit_psnr_db: mean(&|c| c.as_tracked[0]),
-        tracked_model_psnr_db: mean(&|c| c.as_tracked[1]),
+        tracked_lit_psnr_db: mean(&|c| c.tracked_psnr_db[0]),
+        tracked_model_psnr_db: mean(&|c| c.tracked_psnr_db[1]),
         own_psnr_db: mean(&|c| c.own_psnr_db),
     })
 }
 
-/// What is seen of the model at every so manieth pixel.
-fn pixels(
-    model: &Model,
-    context: &AssociationContext,
-    picture: &KeyframeImage,
-    lens: &CameraModel,
-    pose: &Pose,
-) -> Vec<Triple> {
+/// The picture of a validation frame, and the grid of pixels that are compared.
+struct ValidationImage<'a> {
+    picture: &'a KeyframeImage,
+    lens: &'a CameraModel,
+    /// Every n-th pixel along each side.
+    stride: usize,
+}
+
+/// Observed and predicted colours of the pixels that are compared.
+fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, pose: &Pose) -> Vec<Triple> {
+    let &ValidationImage { picture, lens, stride } = image;
     let mesh = context.mesh;
     let points = camera_positions(mesh, pose);
     let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
     let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
-    let rows: Vec<usize> = (0..height).step_by(STRIDE).collect();
+    let rows: Vec<usize> = (0..height).step_by(stride).collect();
     let pixel = |(x, y): (usize, usize)| {
         let triangle = raster.triangle[y * width + x];
         // Beyond the lens there is no picture.
@@ -132,10 +131,10 @@ fn pixels(
         let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
         shade(model, corners, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
     };
-    rows.par_iter().flat_map_iter(|&y| (0..width).step_by(STRIDE).map(move |x| (x, y))).filter_map(pixel).collect()
+    rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
 }
 
-/// RMS distance in pixels between where two poses see the vertices that both see.
+/// RMS distance, in pixels, between the projections of the vertices that both poses see.
 fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose) -> f64 {
     let project = |p: DVec3| {
         let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
@@ -149,7 +148,7 @@ fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose)
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
-/// Lit colour and model colour of a surface point; `None` where a corner was never seen.
+/// Lit colour and model colour of a surface point, linear RGB; `None` where a corner was never seen.
 fn shade(model: &Model, corners: [u32; 3], weights: [f32; 3], camera: DVec3) -> Option<[[f64; 3]; 2]> {
     if corners.iter().any(|&i| model.lit_weight[i as usize] <= 0.0) {
         return None;
@@ -174,7 +173,7 @@ fn shade(model: &Model, corners: [u32; 3], weights: [f32; 3], camera: DVec3) -> 
     Some([lit, modelled])
 }
 
-/// The exposure gain per channel that fits best.
+/// Median exposure gain per channel over the pixels that are neither dark nor clipped.
 fn gains(pixels: &[Triple], which: usize) -> [f64; 3] {
     [0, 1, 2].map(|c| {
         let ratios = pixels
@@ -195,6 +194,6 @@ fn psnr(pixels: &[Triple], which: usize) -> f64 {
     let square: f64 =
         pixels.iter().flat_map(|p| [0, 1, 2].map(|c| (srgb(gain[c] * p[which][c]) - srgb(p[0][c])).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
-    // A rounding error of half a level is the most that 8 bits can tell.
+    // 8 bits cannot show less than the variance of their rounding.
     -10.0 * libm::log10(mean.max(1.0 / (12.0 * 255.0 * 255.0)))
 }

@@ -5,7 +5,7 @@
 use estimator::Options;
 use estimator::budget::{Machine, Plan};
 use estimator::estimate_on;
-use estimator::stages;
+use estimator::stages::Run;
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
 use recordings::decision::{Cut, Reduction};
@@ -132,10 +132,10 @@ fn a_machine_that_is_halted_again_and_again_is_slow() {
 #[test]
 fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     let (scan, config) = (corner(), EstimatorConfig::default());
-    let size = stages::size(&scan, &config);
+    let size = Run::size(&scan, &config);
     let options = |milliseconds| Options { budget: Duration::from_millis(milliseconds), rounds: None };
     let has_gloss =
-        |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).shape().specular;
+        |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).workload().specular;
     // The most time that gloss is not planned for; then no round of pose refinement is asked for, which was planned.
     let (mut cut, mut kept) = (1_000, 60_000);
     while kept - cut > 100 {
@@ -150,7 +150,7 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     plan.mesh_done(scan.mesh.positions.len());
     plan.association_done();
     plan.segmentation_done();
-    assert!(plan.shape().specular && !is_cut(&plan), "{cut} ms: {:?}", plan.cuts());
+    assert!(plan.workload().specular && !is_cut(&plan), "{cut} ms: {:?}", plan.cuts());
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
     let options = Options { budget: Duration::from_secs(40), rounds: None };
-    let mut plan = Plan::new(&machine, &options, &config, stages::size(&scan, &config));
+    let mut plan = Plan::new(&machine, &options, &config, Run::size(&scan, &config));
     let stall = |seconds: f64| *machine.now.lock().expect("nobody panicked") += seconds;
     let watch = plan.watch_rays(64);
     assert!(watch(0.1), "all is well");

@@ -4,11 +4,12 @@
 #![allow(clippy::expect_used, reason = "these are tests")]
 
 use estimator::factorisation::paper_solver::least_squares;
-use estimator::factorisation::robust_solver::{self, Observed, Solution};
+use estimator::factorisation::{Observed, Solution, directions, robust_solver};
 use estimator::numerics::random::{CosineDirections, hash, unit};
 use estimator::numerics::sh;
 use estimator::rays::RayScene;
-use estimator::transfer::{self, Transfer};
+use estimator::transfer::{self, Tracer, Transfer};
+use firmware_config::tuning::FactorisationTuning;
 use glam::{DQuat, DVec3, Vec3};
 use nalgebra::{DMatrix, DVector};
 use proptest::prelude::*;
@@ -50,7 +51,7 @@ impl Lit {
             segment: &self.segment,
             segments: self.segments,
         };
-        robust_solver::solve(&observed, bands, None)
+        robust_solver::solve(&observed, bands, None, &FactorisationTuning::default())
     }
 
     /// Median relative error of what the solution predicts for the lit colours.
@@ -69,7 +70,7 @@ impl Lit {
 
 /// Coefficients of radiance given over the solver's own directions.
 fn projected(bands: usize, radiance: impl Fn(usize, DVec3) -> f64) -> Vec<[f64; 3]> {
-    let directions = robust_solver::directions();
+    let directions = directions();
     let mut light = vec![[0.0; 3]; bands * bands];
     let mut y = vec![0.0; bands * bands];
     for (d, direction) in directions.iter().enumerate() {
@@ -91,7 +92,7 @@ fn light_of_a_million_to_one() {
     assert!(error < 0.03, "lit colours are off by {error}");
     let brightest =
         (0..solution.radiance.len()).max_by(|a, b| solution.radiance[*a][1].total_cmp(&solution.radiance[*b][1]));
-    let directions = robust_solver::directions();
+    let directions = directions();
     let off = directions[brightest.expect("directions")].angle_between(directions[40]).to_degrees();
     assert!(off < 15.0, "the light is {off}° off");
 }
@@ -225,7 +226,7 @@ fn the_pipeline_turns_with_the_scene() {
 fn transfer_in_single_precision_is_that_in_double() {
     let mesh = joined(&[globe(12, 0.5, 1.0), sheet(12, Vec3::new(-1.0, -1.0, -0.5), Vec3::X * 2.0, Vec3::Y * 2.0)]);
     let scene = RayScene::new(&mesh);
-    let traced = transfer::trace(&mesh, &scene, 9, 64, 1, &|_| ());
+    let traced = Tracer { mesh: &mesh, scene: &scene, bands: 9, seed: 1 }.trace(64, &|_| ());
     let directions = CosineDirections::new(64, 1);
     let mut checked = 0;
     for i in (0..mesh.positions.len()).step_by(7) {
@@ -288,7 +289,7 @@ fn solving_in_single_precision_is_that_in_double() {
 #[test]
 fn bounces_are_accelerated() {
     let mesh = globe(12, 1.0, -1.0);
-    let mut traced = transfer::trace(&mesh, &RayScene::new(&mesh), 1, 64, 1, &|_| ());
+    let mut traced = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 1, seed: 1 }.trace(64, &|_| ());
     traced.direct.fill(1.0);
     let white = vec![Vec3::splat(0.999); mesh.positions.len()];
     let fast = transfer::bounce(&traced, &white, 0);

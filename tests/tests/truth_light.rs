@@ -1,11 +1,13 @@
 //! Transfer and factorisation against scenes whose light and albedo are known.
 
-use estimator::factorisation::{Colors, Factorised, Settings, factorise};
+use estimator::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
 use estimator::numerics::random::{hash, unit};
 use estimator::rays::RayScene;
-use estimator::transfer::{self, Traced, Transfer};
+use estimator::transfer::{self, Traced, Tracer, Transfer};
 use firmware_config::SolverChoice;
+use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
+use recordings::types::Mesh;
 use std::sync::Arc;
 use tests::truth::Truth;
 use tests::{metrics, shared};
@@ -40,6 +42,10 @@ fn transfer_error(truth: &Truth, traced: Traced) -> [f64; 3] {
     [(off[0] / size[0]).sqrt(), (off[1] / size[1]).sqrt(), (stated / size[0]).sqrt()]
 }
 
+fn tracer<'a>(mesh: &'a Mesh, scene: &'a RayScene) -> Tracer<'a> {
+    Tracer { mesh, scene, bands: BANDS, seed: 1 }
+}
+
 #[test]
 #[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
 fn transfer_is_that_of_the_reference() {
@@ -58,7 +64,7 @@ fn transfer_is_that_of_the_reference() {
             }
         }
         assert!((off / size).sqrt() < 1e-3, "{name}: diffuse {}", (off / size).sqrt());
-        let [shade, gi, stated] = transfer_error(&truth, transfer::trace(&truth.mesh, &scene, BANDS, 128, 1, &|_| ()));
+        let [shade, gi, stated] = transfer_error(&truth, tracer(&truth.mesh, &scene).trace(128, &|_| ()));
         println!("{name}: 128 rays: shade {shade:.4}, gi {gi:.4}, stated {stated:.4}");
         assert!(shade < 0.05 && gi < 0.07, "{name}: shade {shade}, gi {gi}");
         assert!(shade / stated < 1.5 && stated / shade < 1.5, "{name}: the error is {shade}, stated as {stated}");
@@ -69,7 +75,7 @@ fn many_rays(name: &str) {
     let shared = shared();
     let truth = Truth::read(&shared, name);
     let scene = RayScene::new(&truth.mesh);
-    let [shade, gi, stated] = transfer_error(&truth, transfer::trace(&truth.mesh, &scene, BANDS, 4096, 1, &|_| ()));
+    let [shade, gi, stated] = transfer_error(&truth, tracer(&truth.mesh, &scene).trace(4096, &|_| ()));
     println!("{name}: 4096 rays: shade {shade:.5}, gi {gi:.5}, stated {stated:.5}");
     assert!(shade < 0.006 && gi < 0.01, "{name}: shade {shade}, gi {gi}");
 }
@@ -90,11 +96,8 @@ fn many_rays_converge_on_larger_meshes() {
 /// True lit colours with 3 % noise, true materials as segments.
 fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factorised {
     let scene = RayScene::new(&truth.mesh);
-    let traced = if diffuse {
-        transfer::unoccluded(&truth.mesh, BANDS)
-    } else {
-        transfer::trace(&truth.mesh, &scene, BANDS, 64, 1, &|_| ())
-    };
+    let traced =
+        if diffuse { transfer::unoccluded(&truth.mesh, BANDS) } else { tracer(&truth.mesh, &scene).trace(64, &|_| ()) };
     // A sum of four uniform numbers, scaled to a standard deviation of 3 %.
     let noise = |i: usize, c: usize| {
         let draw = |k| unit(hash(i as u32 * 3 + c as u32, k));
@@ -106,7 +109,9 @@ fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factor
     let segments = truth.material.iter().max().map_or(0, |s| *s as usize + 1);
     let colors = Colors { lit_color: &lit, lit_weight: &weight, segment: &truth.material, segments };
     let bands = if solver == SolverChoice::Literal { 5 } else { BANDS };
-    factorise(Arc::new(traced), &colors, &Settings { gi, bands, most_bands: bands, bounces: 0, solver }, None)
+    let tuning = &FactorisationTuning::default();
+    let options = FactorisationOptions { gi, bands, max_bands: bands, bounces: 0, solver, tuning };
+    factorise(Arc::new(traced), &colors, &options, None)
 }
 
 fn albedo_error(truth: &Truth, found: &Factorised) -> metrics::AlbedoError {

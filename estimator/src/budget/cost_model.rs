@@ -1,16 +1,16 @@
-//! What the stages cost, in reference seconds: seconds of an idle machine of two cores on which `lumiscan trade` was
-//! first run. The planner divides by the speed it measures, so only the proportions matter.
+//! Cost of the stages in reference seconds: seconds of an idle machine of two cores. The planner divides by the speed that it
+//! measures, so only the proportions matter.
 
-/// One gathering of the light field with one step of every pose, per pixel and per vertex of every keyframe.
+/// One round of association with one step of every pose, per pixel and per vertex of every keyframe.
 const PER_PIXEL: f64 = 4.7e-8;
 const PER_SIGHTING: f64 = 4.5e-7;
 /// Decoding a picture, per pixel.
 const PER_PIXEL_DECODED: f64 = 6.0e-8;
-/// Reading the mesh and building the ray tree, per vertex.
+/// Reading the mesh and building the BVH, per vertex.
 const PER_VERTEX_READ: f64 = 2.0e-6;
-/// Making a mesh coarser, per vertex of the fine one.
+/// Coarsening a mesh, per vertex of the fine one.
 const PER_VERTEX_COARSENED: f64 = 1.0e-6;
-/// Regularising a mesh, the same.
+/// Regularising a mesh, per vertex.
 const PER_VERTEX_REMESHED: f64 = 1.2e-5;
 /// Segmentation, per vertex.
 const PER_VERTEX_SEGMENTED: f64 = 6.0e-6;
@@ -18,23 +18,23 @@ const PER_VERTEX_SEGMENTED: f64 = 6.0e-6;
 const PER_RAY: f64 = 3.0e-7;
 /// One hit in one bounce.
 const PER_HIT: f64 = 5.0e-9;
-/// One solution of nine bands, and what it costs apart from the bands.
+/// One solution with nine bands: the part that grows with the bands, and the rest.
 const SOLVED_BANDS: f64 = 0.35;
 const SOLVED: f64 = 0.05;
 /// Gloss fitted, and lit colours cleaned of it, per observation of a vertex.
 const PER_OBSERVATION: f64 = 5.0e-7;
-/// Times that lit colours are cleaned and factorised anew.
+/// Passes of cleaning and factorising again.
 const PASSES: f64 = 3.0;
-/// One witness frame, per pixel.
+/// One validation frame, per pixel.
 const PER_WITNESS_PIXEL: f64 = 3.0e-6;
-/// The result on disk, per vertex.
+/// Writing the result, per vertex.
 const PER_VERTEX_WRITTEN: f64 = 5.0e-6;
-/// Bounces that are made where nobody limits them.
+/// Bounces until convergence, typically.
 const LIKELY_BOUNCES: f64 = 8.0;
-/// Times the bounces are made: for the selection, for the first albedo, for the last, once more without gloss.
+/// Series of bounces in a run: for model selection, the first albedo, the last albedo, and again without gloss.
 pub const BOUNCED: f64 = 4.0;
 
-/// How large a scan is.
+/// Size of a scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
     /// Vertices of the scan's mesh.
@@ -47,11 +47,11 @@ pub struct Size {
     pub keyframes: f64,
     /// Pixels of a keyframe.
     pub pixels: f64,
-    /// Witness frames.
+    /// Validation frames.
     pub witnesses: f64,
 }
 
-/// The mesh read, and regularised or made coarser.
+/// Reading the mesh, and regularising or coarsening it.
 #[must_use]
 pub fn mesh(size: &Size, coarser: bool) -> f64 {
     let each = match (coarser, size.remeshed) {
@@ -62,7 +62,7 @@ pub fn mesh(size: &Size, coarser: bool) -> f64 {
     (PER_VERTEX_READ + each) * size.scanned
 }
 
-/// Pictures decoded.
+/// Decoding the keyframes.
 #[must_use]
 pub fn pictures(size: &Size) -> f64 {
     PER_PIXEL_DECODED * size.pixels * size.keyframes
@@ -80,13 +80,13 @@ pub fn segmentation(size: &Size) -> f64 {
     PER_VERTEX_SEGMENTED * size.vertices
 }
 
-/// Rays.
+/// Tracing `rays` rays per vertex.
 #[must_use]
 pub fn rays(vertices: f64, rays: u32) -> f64 {
     PER_RAY * vertices * f64::from(rays)
 }
 
-/// One series of bounces; `bounces` = 0 until they no longer matter.
+/// One series of bounces, 0 = until convergence; `blocked` is the share of rays that hit.
 #[must_use]
 pub fn bounces(vertices: f64, rays: u32, blocked: f64, bounces: u32) -> f64 {
     let count = if bounces == 0 { LIKELY_BOUNCES } else { f64::from(bounces) };
@@ -107,13 +107,13 @@ pub fn specular(size: &Size, bands: usize) -> f64 {
     PASSES * (PER_OBSERVATION * size.vertices * size.keyframes / 3.0 + solution(bands))
 }
 
-/// One witness frame.
+/// Predicting one validation frame.
 #[must_use]
 pub fn witness(size: &Size) -> f64 {
     PER_WITNESS_PIXEL * size.pixels
 }
 
-/// The result on disk.
+/// Writing the result.
 #[must_use]
 pub fn output(size: &Size) -> f64 {
     PER_VERTEX_WRITTEN * size.vertices

@@ -4,7 +4,7 @@
 use crate::export::file::write_whole;
 use crate::export::picture::encode_rgb;
 use crate::rays::RayScene;
-use crate::transfer::{Transfer, bounce, trace};
+use crate::transfer::{Tracer, Transfer, bounce};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use glam::Vec3;
@@ -142,7 +142,7 @@ fn display_gain(result: &Estimate) -> f32 {
 /// Transfer (Eq. 8, gi, mean of the channels) in signed bytes, `[vertex][16]`, and the value of 127 per coefficient.
 fn transfer(result: &Estimate) -> (Vec<u8>, [f32; COEFFICIENTS]) {
     let scene = RayScene::new(&result.mesh);
-    let traced = trace(&result.mesh, &scene, BANDS, RAYS, 1, &|_| {});
+    let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
     let bounced = Some(bounce(&traced, &result.albedo, 0));
     let transfer = Transfer { traced: traced.into(), bounced };
     let n = result.mesh.positions.len();

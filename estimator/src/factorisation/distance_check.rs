@@ -1,28 +1,21 @@
-//! Is the light distant, as the model assumes? Where lit colours depend on position at equal normals, it is not.
+//! Check of the assumption of distant light: near light makes lit colours depend on position at equal normals.
 
 use crate::association::Association;
-use crate::factorisation::Factorised;
-use crate::factorisation::robust_solver::held_out_block;
+use crate::factorisation::factorise::Factorised;
+use crate::factorisation::held_out;
+use crate::numerics::robust::median;
 use firmware_config::tuning::DistanceCheckTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use recordings::decision::{Decision, PositionEvidence, Warning};
 use recordings::types::Mesh;
 
-/// Vertices that are looked at, at most.
-const LOOKED_AT: usize = 20_000;
-/// A segment's share of them below which it says nothing of positions.
-const LEAST_OF_SEGMENT: usize = 60;
-/// Terms in the normal: a residual that depends on it is the light's business, distant or not.
+/// Terms of the normal: residuals that depend on it are errors of the light, distant or not.
 const NORMAL_TERMS: usize = 8;
-/// Terms in the position.
+/// Terms of the position.
 const POSITION_TERMS: usize = 9;
-/// Log residuals count up to this.
-const CAPPED: f64 = 1.0;
-/// Looks for position in the residuals. Returns the decision, and the warning if there is one.
-///
-/// Log residuals of the luminance are regressed, within segments, on the normal alone and on normal and position; blocks of
-/// vertices that took no part in the fit say how much position explains.
+/// Regresses log residuals of the brightness, within segments, on the normal alone and on normal and position, and compares
+/// both on held-out vertices. `segment` is `[vertex]`. Returns the decision, and a warning if position explains too much.
 #[must_use]
 pub fn check(
     mesh: &Mesh,
@@ -31,14 +24,14 @@ pub fn check(
     found: &Factorised,
     tuning: &DistanceCheckTuning,
 ) -> (Decision, Option<Warning>) {
-    let samples = samples(mesh, fields, segment, found);
-    let position = position_share(&samples);
+    let samples = samples(mesh, fields, segment, found, tuning);
+    let position = position_evidence(&samples, tuning.min_segment_vertices as usize);
     let contradicted = position.explained > tuning.explained_share && position.change > tuning.changed_log;
     let decision = Decision::DistantLight { holds: !contradicted, position, vertices: samples.len() as u32 };
     (decision, contradicted.then_some(Warning::LightNotDistant(position)))
 }
 
-/// One vertex: its segment, terms, log residual, whether it takes part in the fit.
+/// One vertex: its segment, terms, log residual, and whether it takes part in the fit.
 struct Sample {
     segment: u32,
     terms: [f64; NORMAL_TERMS + POSITION_TERMS],
@@ -46,21 +39,28 @@ struct Sample {
     fitted: bool,
 }
 
-fn samples(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factorised) -> Vec<Sample> {
+fn samples(
+    mesh: &Mesh,
+    fields: &Association,
+    segment: &[u32],
+    found: &Factorised,
+    tuning: &DistanceCheckTuning,
+) -> Vec<Sample> {
     let usable = |i: &usize| {
         let (f, e) = (fields.lit_color[*i], found.irradiance[*i]);
-        fields.lit_weight[*i] > 0.2 && f.is_finite() && f.min_element() > 0.0 && e.min_element() > 0.0
+        fields.lit_weight[*i] > tuning.min_lit_weight as f32
+            && f.is_finite()
+            && f.min_element() > 0.0
+            && e.min_element() > 0.0
     };
     let all: Vec<usize> = (0..mesh.positions.len()).filter(usable).collect();
-    let stride = all.len().div_ceil(LOOKED_AT).max(1);
+    let stride = all.len().div_ceil(tuning.max_vertices as usize).max(1);
     let all: Vec<usize> = all.into_iter().step_by(stride).collect();
     let count = all.len().max(1) as f32;
     let center = all.iter().map(|&i| mesh.positions[i]).sum::<Vec3>() / count;
     let size = (all.iter().map(|&i| mesh.positions[i].distance_squared(center)).sum::<f32>() / count).sqrt();
     let brightness: Vec<f32> = all.iter().map(|&i| found.irradiance[i].element_sum()).collect();
-    let mut sorted = brightness.clone();
-    sorted.sort_unstable_by(f32::total_cmp);
-    let dark = sorted.get(sorted.len() / 2).map_or(0.0, |m| 0.1 * m);
+    let dark = tuning.min_relative_light as f32 * median(brightness.iter().copied()).unwrap_or(0.0);
     all.iter()
         .zip(&brightness)
         .filter(|(_, b)| **b > dark)
@@ -75,13 +75,13 @@ fn samples(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factorise
             let (nn, pp) = (quadratic(n), quadratic(p));
             Sample {
                 segment: segment[i],
-                // A unit normal's squares sum to one: two of them say all.
+                // The squares of a unit normal sum to 1: two of them suffice.
                 terms: [
                     n[0], n[1], n[2], nn[0], nn[1], nn[2], nn[3], nn[4], p[0], p[1], p[2], pp[0], pp[1], pp[2], pp[3],
                     pp[4], pp[5],
                 ],
-                residual: residual.clamp(-CAPPED, CAPPED),
-                fitted: held_out_block(i as u32).is_none(),
+                residual: residual.clamp(-tuning.max_log_residual, tuning.max_log_residual),
+                fitted: held_out::block(i as u32).is_none(),
             }
         })
         .collect()
@@ -90,14 +90,14 @@ fn samples(mesh: &Mesh, fields: &Association, segment: &[u32], found: &Factorise
 /// Evidence where nothing can be fitted.
 const UNEXPLAINED: PositionEvidence = PositionEvidence { explained: 0.0, change: 0.0 };
 
-/// Share of the left-out residual that position explains beyond the normal, and the standard deviation of its part.
-fn position_share(samples: &[Sample]) -> PositionEvidence {
+/// How far position explains the residuals on held-out vertices beyond the normal.
+fn position_evidence(samples: &[Sample], min_segment_vertices: usize) -> PositionEvidence {
     let segments = samples.iter().map(|s| s.segment as usize + 1).max().unwrap_or(0);
     let mut centered: Vec<(bool, [f64; NORMAL_TERMS + POSITION_TERMS], f64)> = Vec::with_capacity(samples.len());
     for s in 0..segments {
         let of: Vec<&Sample> = samples.iter().filter(|x| x.segment as usize == s).collect();
         let fitted = of.iter().filter(|x| x.fitted).count();
-        if fitted < LEAST_OF_SEGMENT {
+        if fitted < min_segment_vertices {
             continue;
         }
         let mean =

@@ -1,32 +1,34 @@
-//! The paper's own solver to the letter (Eqs. 10–12), for comparison: plain least squares for the light, and segment
-//! residuals that are added to the albedo.
+//! The paper's solver, literally (Eqs. 10–12), for comparison: plain least squares for the light; segment residuals, which
+//! are radiances, are added to the albedo.
 
-use crate::factorisation::robust_solver::{Observed, Solution};
+use crate::factorisation::problem::Observed;
+use crate::factorisation::solution::{Solution, directions};
 use crate::numerics::sh;
+use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 
-/// a0 of Eq. (10).
-const FIRST_ALBEDO: f64 = 0.5;
-/// Rows that one step of the QR decomposition takes in.
+/// Rows of one step of the QR decomposition.
 const ROWS: usize = 512;
-/// Singular values below this share of the largest are cut: what they tell is noise.
-const CUT: f64 = 1e-10;
-/// Rounds of Eqs. (10)–(12) at most.
-const MOST_ROUNDS: usize = 100;
-/// Rounds end when no residual is larger than this share of the mean lit colour.
+/// Singular values below this share of the largest are dropped: they hold noise.
+const MIN_SINGULAR: f64 = 1e-10;
+/// Maximum number of rounds of Eqs. (10)–(12).
+const MAX_ROUNDS: usize = 100;
+/// The rounds have converged when no residual exceeds this share of the mean lit colour.
 const TOLERANCE: f64 = 1e-4;
 
-/// Runs Eqs. (10)–(12). Albedo per vertex is the segment's plus the high-frequency part of `f_rest / (a0 E)`.
+/// Runs Eqs. (10)–(12). Returns the solution and the albedo per vertex, linear RGB: the segment's plus the high-frequency
+/// part of f_rest / (a0 E).
 #[must_use]
-pub fn solve(observed: &Observed, bands: usize) -> (Solution, Vec<Vec3>) {
+pub fn solve(observed: &Observed, bands: usize, tuning: &FactorisationTuning) -> (Solution, Vec<Vec3>) {
     let k = bands * bands;
+    let first_albedo = tuning.initial_albedo;
     let mut light = vec![[0.0; 3]; k];
-    let mut segment_albedo = vec![[FIRST_ALBEDO; 3]; observed.segments];
-    let mut albedo = vec![Vec3::splat(FIRST_ALBEDO as f32); observed.lit_color.len()];
+    let mut segment_albedo = vec![[first_albedo; 3]; observed.segments];
+    let mut albedo = vec![Vec3::splat(first_albedo as f32); observed.lit_color.len()];
     let (mut residual, mut condition) = (0.0, 0.0f64);
     for c in 0..3 {
-        let answer = solve_channel(observed, k, c);
+        let answer = solve_channel(observed, k, c, first_albedo);
         for (row, x) in light.iter_mut().zip(answer.light.iter()) {
             row[c] = *x;
         }
@@ -39,17 +41,14 @@ pub fn solve(observed: &Observed, bands: usize) -> (Solution, Vec<Vec3>) {
         residual += answer.residual / 3.0;
         condition = condition.max(answer.condition);
     }
-    let radiance = crate::factorisation::robust_solver::directions()
-        .iter()
-        .map(|d| sh::radiance(&light, *d).map(|x| x.max(0.0)))
-        .collect();
+    let radiance = directions().iter().map(|d| sh::radiance(&light, *d).map(|x| x.max(0.0))).collect();
     let solution = Solution {
         standard_deviation: vec![[0.0; 3]; k],
         light,
         radiance,
         albedo: segment_albedo,
         held_out: residual,
-        pull: [0.0; 3],
+        regularisation: [0.0; 3],
         condition,
     };
     (solution, albedo)
@@ -63,13 +62,13 @@ struct Answer {
     condition: f64,
 }
 
-fn solve_channel(observed: &Observed, k: usize, channel: usize) -> Answer {
+fn solve_channel(observed: &Observed, k: usize, channel: usize, first_albedo: f64) -> Answer {
     let seen: Vec<usize> = (0..observed.lit_color.len())
         .filter(|&i| observed.lit_weight[i] > 0.0 && observed.lit_color[i].is_finite())
         .collect();
     let mut f: Vec<f64> = seen.iter().map(|&i| f64::from(observed.lit_color[i][channel])).collect();
     let mean = f.iter().sum::<f64>() / f.len().max(1) as f64;
-    let mut albedo = vec![FIRST_ALBEDO; observed.segments];
+    let mut albedo = vec![first_albedo; observed.segments];
     let mut rows = vec![0.0; seen.len() * k];
     for (row, &i) in rows.chunks_mut(k).zip(&seen) {
         observed.transfer.row(i, channel, row);
@@ -77,7 +76,7 @@ fn solve_channel(observed: &Observed, k: usize, channel: usize) -> Answer {
     let row = |j: usize| &rows[j * k..(j + 1) * k];
     let irradiance = |light: &DVector<f64>, j: usize| row(j).iter().zip(light.iter()).map(|(t, l)| t * l).sum::<f64>();
     let (mut light, mut condition) = (DVector::zeros(k), 0.0);
-    for _ in 0..MOST_ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         (light, condition) = least_squares(k, seen.len(), |j, out| {
             let a = albedo[observed.segment[seen[j]] as usize];
             out[..k].iter_mut().zip(row(j)).for_each(|(o, t)| *o = a * t);
@@ -102,7 +101,7 @@ fn solve_channel(observed: &Observed, k: usize, channel: usize) -> Answer {
     }
     let mut detail: Vec<f64> = observed.segment.iter().map(|u| albedo[*u as usize]).collect();
     let rest: Vec<f64> =
-        (0..seen.len()).map(|j| f[j] / (FIRST_ALBEDO * irradiance(&light, j)).max(1e-3 * mean.max(1e-30))).collect();
+        (0..seen.len()).map(|j| f[j] / (first_albedo * irradiance(&light, j)).max(1e-3 * mean.max(1e-30))).collect();
     let (mut sum, mut count) = (vec![0.0; observed.segments], vec![0.0; observed.segments]);
     for (x, &i) in rest.iter().zip(&seen) {
         sum[observed.segment[i] as usize] += x;
@@ -121,9 +120,9 @@ fn solve_channel(observed: &Observed, k: usize, channel: usize) -> Answer {
     Answer { light, albedo, detail, residual, condition }
 }
 
-/// Least squares by QR, a block of rows at a time, and a singular value decomposition of the triangle that is left: the
-/// condition number is not squared. `fill` writes a row and its right side (`k + 1` values). Returns the solution and
-/// the condition number.
+/// Least squares of `count` rows by QR in blocks of rows and a singular value decomposition of R, which does not square the
+/// condition number. `fill(j, out)` writes row j and its right side: `[k + 1]`. Returns the solution `[k]` and the condition
+/// number.
 #[must_use]
 pub fn least_squares(k: usize, count: usize, mut fill: impl FnMut(usize, &mut [f64])) -> (DVector<f64>, f64) {
     let width = k + 1;
@@ -146,7 +145,7 @@ pub fn least_squares(k: usize, count: usize, mut fill: impl FnMut(usize, &mut [f
     let svd = system.svd(true, true);
     let (largest, smallest) = (svd.singular_values.max(), svd.singular_values.min());
     let condition = if smallest > 0.0 { largest / smallest } else { f64::INFINITY };
-    let solution = svd.solve(&target, CUT * largest).unwrap_or_else(|_| DVector::zeros(k));
+    let solution = svd.solve(&target, MIN_SINGULAR * largest).unwrap_or_else(|_| DVector::zeros(k));
     (solution, condition)
 }
 
@@ -156,7 +155,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Noise-free systems of condition 10^12: what singular values above 1e-4 of the largest determine is right.
+        /// Noise-free systems of condition 10^12: directions of singular values above 1e-4 of the largest are right.
         #[test]
         fn ill_conditioned_system(seed in 0u32..1000) {
             let (k, count) = (9, 200);

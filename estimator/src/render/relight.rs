@@ -10,7 +10,7 @@ use crate::render::lighting::environment::Environment;
 use crate::render::objects::material::Brdf;
 use crate::render::objects::object::weights;
 use crate::render::sampling::point;
-use crate::transfer::{Transfer, bounce, trace};
+use crate::transfer::{Tracer, Transfer, bounce};
 use firmware_config::RealityConfig;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -96,7 +96,8 @@ impl Relight {
             scanned.resize(object.mesh.positions.len(), Vec3::ZERO);
         }
         let scene = RayScene::new(&object.mesh);
-        let traced = trace(&object.mesh, &scene, BANDS, config.relight_rays, config.seed, report);
+        let tracer = Tracer { mesh: &object.mesh, scene: &scene, bands: BANDS, seed: config.seed };
+        let traced = tracer.trace(config.relight_rays, report);
         let brdfs = object.vertex_brdfs();
         let albedo: Vec<Vec3> = brdfs.iter().map(|l| l.diffuse).collect();
         let bounced = Some(bounce(&traced, &albedo, 0));

@@ -1,149 +1,200 @@
-//! Gloss found, taken out of exposures and lit colours, and the factorisation run once more (§3.4).
+//! Gloss found and removed: exposures, lit colours and factorisation once more without it (§3.4).
 
 use crate::association::Association;
-use crate::factorisation::{Colors, Factorised, Settings, factorise};
-use crate::numerics::sh;
+use crate::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
 use crate::rays::RayScene;
+use crate::specular::clean::clean;
+use crate::specular::fit::fit;
+use crate::specular::gloss::Gloss;
 use crate::specular::material;
-use crate::specular::{self, Gloss, Prediction, Reflection};
+use crate::specular::prediction::{Materials, Prediction, predict};
+use crate::specular::reflection::Reflection;
+use firmware_config::tuning::SpecularTuning;
 use glam::Vec3;
 use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
-/// Times that lit colours are cleaned of gloss and factorised at most: light without gloss in it tells gloss better.
-const PASSES: usize = 3;
-/// Change of the log gains (RMS) that is worth another factorisation.
-const WORTHWHILE_GAIN: f64 = 2e-3;
-/// More bands must predict the keyframes better by this many standard errors.
-const SIGNIFICANT_GAIN: f64 = 1.0;
+/// The surface whose gloss is fitted.
+#[derive(Clone, Copy)]
+pub struct Surface<'a> {
+    /// Mesh with unit normals.
+    pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub scene: &'a RayScene,
+    /// Segment index: `[vertex]`.
+    pub segment: &'a [u32],
+    /// Number of segments.
+    pub segments: usize,
+}
 
-/// An answer with the gloss taken out.
-struct Cleaned {
+/// Light, albedo and gloss, and the decisions that led to them.
+pub struct Refitted {
+    /// The factorisation without gloss.
+    pub found: Factorised,
+    /// Specular weights: `[segment]`.
+    pub gloss: Vec<Gloss>,
+    /// Whether gloss was removed, and with how many bands.
+    pub decisions: Vec<Decision>,
+}
+
+/// A factorisation with gloss removed from the lit colours.
+struct Cleaned<'a> {
     found: Factorised,
     lit_color: Vec<Vec3>,
     gloss: Vec<Gloss>,
     prediction: Prediction,
-    settings: Settings,
+    options: FactorisationOptions<'a>,
 }
 
-/// Finds the gloss of every segment (Eq. 13). Where there is any, exposures are left to matte segments, and lit colours
-/// are cleaned of it and factorised once more, as long as the keyframes are predicted better for it; `fields` then hold the
-/// clean colours. What gloss had hidden may ask for more bands.
+/// Fits the gloss of every segment (Eq. 13). If any is significant, exposures are taken from matte segments, and lit colours are
+/// cleaned of gloss and factorised again as long as that improves the prediction of the keyframes; `fields` then hold the clean
+/// colours. More bands are tried too, since gloss may have hidden them.
 #[must_use]
 pub fn refit(
-    mesh: &Mesh,
-    scene: &RayScene,
+    surface: &Surface,
     fields: &mut Association,
-    segment: &[u32],
-    mut found: Factorised,
-    settings: &Settings,
-) -> (Factorised, Vec<Gloss>, Vec<Decision>) {
-    let segments = found.solution.albedo.len();
-    let fit = |found: &Factorised, fields: &Association| {
-        specular::fit(&reflection(mesh, scene, found), fields, segment, segments)
-    };
-    let matte = vec![Gloss::NONE; segments];
-    let mut gloss = fit(&found, fields);
-    let mut exposure_change = None;
-    if gloss.iter().any(|g| g.significant) {
-        let is_matte: Vec<bool> = segment.iter().map(|s| !gloss[*s as usize].significant).collect();
-        if let Some(moved) = fields.expose_by(&is_matte, mesh, scene.median_edge()) {
-            exposure_change = Some(moved);
-            if moved > WORTHWHILE_GAIN {
-                let colors = colors(&fields.lit_color, fields, segment, segments);
-                found = factorise(Arc::clone(&found.transfer.traced), &colors, settings, None);
-                gloss = fit(&found, fields);
-            }
-        }
-    }
+    found: Factorised,
+    options: &FactorisationOptions,
+    tuning: &SpecularTuning,
+) -> Refitted {
+    let (found, gloss, exposure_change) = fit_and_expose(surface, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
     let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
         cleaned,
-        segments: segments as u32,
+        segments: surface.segments as u32,
         glossy: glossy as u32,
         exposure_change,
         without_gloss,
         with_gloss,
     };
     if glossy == 0 {
-        return (found, gloss, vec![decision(false, None, Vec::new())]);
+        return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
+    }
+    let refitter = Refitter { surface, fields, tuning };
+    let matte = vec![Gloss::NONE; surface.segments];
+    let without = refitter.predict(&found, &matte);
+    let mut best = refitter.cleaned(&found, &gloss, *options);
+    let mut errors = vec![best.prediction.error()];
+    // Significant weights are the evidence; the prediction of the keyframes must not get worse.
+    let holds = best.prediction.gain_over(&without) > -tuning.min_prediction_gain;
+    if holds {
+        errors.extend(refitter.repeat(&mut best));
+    }
+    let mut decisions = vec![decision(holds, Some(without.error()), errors)];
+    if !holds {
+        return Refitted { found, gloss: matte, decisions };
+    }
+    let best = refitter.more_bands(best, &mut decisions);
+    fields.lit_color = best.lit_color;
+    let albedo = &best.found.solution.albedo;
+    let gloss = material::pooled(surface.mesh, surface.segment, albedo, &best.gloss, tuning);
+    Refitted { found: best.found, gloss, decisions }
+}
+
+/// Fits the gloss; if any is significant, takes exposures from matte segments and, if they changed, factorises and fits again.
+/// Returns the RMS change of the log gains besides.
+fn fit_and_expose(
+    surface: &Surface,
+    fields: &mut Association,
+    found: Factorised,
+    options: &FactorisationOptions,
+    tuning: &SpecularTuning,
+) -> (Factorised, Vec<Gloss>, Option<f64>) {
+    let fit = |found: &Factorised, fields: &Association| {
+        fit(&surface.reflection(found), fields, surface.segment, surface.segments, tuning)
+    };
+    let gloss = fit(&found, fields);
+    if !gloss.iter().any(|g| g.significant) {
+        return (found, gloss, None);
+    }
+    let is_matte: Vec<bool> = surface.segment.iter().map(|s| !gloss[*s as usize].significant).collect();
+    let change = fields.expose_by(&is_matte, surface.mesh, surface.scene.median_edge());
+    if !change.is_some_and(|moved| moved > tuning.min_gain_change) {
+        return (found, gloss, change);
+    }
+    let colors = surface.colors(&fields.lit_color, fields);
+    let found = factorise(Arc::clone(&found.transfer.traced), &colors, options, None);
+    let gloss = fit(&found, fields);
+    (found, gloss, change)
+}
+
+impl Surface<'_> {
+    fn colors<'a>(&'a self, lit_color: &'a [Vec3], fields: &'a Association) -> Colors<'a> {
+        Colors { lit_color, lit_weight: &fields.lit_weight, segment: self.segment, segments: self.segments }
     }
 
-    let judge = |f: &Factorised, gloss: &[Gloss]| {
-        specular::predict(&reflection(mesh, scene, f), fields, segment, &f.solution.albedo, gloss)
-    };
-    // Lit colours without the gloss, and light from them.
-    let cleaned = |from: &Factorised, gloss: &[Gloss], settings: Settings| {
-        let lit_color = specular::clean(&reflection(mesh, scene, from), fields, segment, gloss);
-        let colors = colors(&lit_color, fields, segment, segments);
-        // More bands are new evidence for the pull, now that gloss is out.
-        let same_bands = from.solution.light.len() == settings.bands * settings.bands;
+    fn reflection<'a>(&'a self, found: &'a Factorised) -> Reflection<'a> {
+        Reflection::new(self.mesh, self.scene, found)
+    }
+}
+
+struct Refitter<'a> {
+    surface: &'a Surface<'a>,
+    fields: &'a Association,
+    tuning: &'a SpecularTuning,
+}
+
+impl Refitter<'_> {
+    fn predict(&self, found: &Factorised, gloss: &[Gloss]) -> Prediction {
+        let materials = Materials { segment: self.surface.segment, albedo: &found.solution.albedo, gloss };
+        predict(&self.surface.reflection(found), self.fields, materials, self.tuning)
+    }
+
+    /// Lit colours without gloss, and light and gloss from them.
+    fn cleaned<'o>(&self, from: &Factorised, gloss: &[Gloss], options: FactorisationOptions<'o>) -> Cleaned<'o> {
+        let Self { surface, fields, tuning } = *self;
+        let lit_color = clean(&surface.reflection(from), fields, surface.segment, gloss, tuning);
+        // With more bands the regularisation weight is chosen again.
+        let same_bands = from.solution.light.len() == options.bands * options.bands;
         let start = same_bands.then(|| from.start());
-        let found = factorise(Arc::clone(&from.transfer.traced), &colors, &settings, start);
-        let gloss = fit(&found, fields);
-        let prediction = judge(&found, &gloss);
-        Cleaned { found, lit_color, gloss, prediction, settings }
-    };
-    let without = judge(&found, &matte);
-    let mut best = cleaned(&found, &gloss, *settings);
-    let mut told = vec![best.prediction.error()];
-    // Weights that stand out of their errors are evidence; that the keyframes are predicted no worse is the proof.
-    let holds = best.prediction.gain_over(&without) > -SIGNIFICANT_GAIN;
-    let again = |best: &mut Cleaned, told: &mut Vec<f64>, most: usize| {
-        for _ in 0..most {
-            let trial = cleaned(&best.found, &best.gloss, best.settings);
-            told.push(trial.prediction.error());
+        let colors = surface.colors(&lit_color, fields);
+        let found = factorise(Arc::clone(&from.transfer.traced), &colors, &options, start);
+        let gloss = fit(&surface.reflection(&found), fields, surface.segment, surface.segments, tuning);
+        let prediction = self.predict(&found, &gloss);
+        Cleaned { found, lit_color, gloss, prediction, options }
+    }
+
+    /// Cleans and factorises again while the prediction improves. Returns the error of each trial.
+    fn repeat(&self, best: &mut Cleaned) -> Vec<f64> {
+        let mut errors = Vec::new();
+        for _ in 1..self.tuning.max_passes {
+            let trial = self.cleaned(&best.found, &best.gloss, best.options);
+            errors.push(trial.prediction.error());
             if trial.prediction.error() >= best.prediction.error() {
                 break;
             }
             *best = trial;
         }
-    };
-    if holds {
-        again(&mut best, &mut told, PASSES - 1);
+        errors
     }
-    let mut decisions = vec![decision(holds, Some(without.error()), told)];
-    if !holds {
-        return (found, matte, decisions);
-    }
-    let first = best.settings.bands;
-    while best.settings.bands + 2 <= settings.most_bands {
-        let before = best.settings.bands;
-        let error_before = best.prediction.error();
-        let more = Settings { bands: before + 2, ..best.settings };
-        let mut trial = cleaned(&best.found, &best.gloss, more);
-        let mut errors = vec![trial.prediction.error()];
-        again(&mut trial, &mut errors, PASSES - 1);
-        let better = trial.prediction.gain_over(&best.prediction) > SIGNIFICANT_GAIN;
-        if better {
-            best = trial;
-        }
-        decisions.push(Decision::BandsWithoutGloss {
-            chosen: best.settings.bands as u32,
-            first: first as u32,
-            before: before as u32,
-            tried: more.bands as u32,
-            error_before,
-            errors,
-        });
-        if !better {
-            break;
-        }
-    }
-    fields.lit_color = best.lit_color;
-    let gloss = material::pooled(mesh, segment, &best.found.solution.albedo, &best.gloss);
-    (best.found, gloss, decisions)
-}
 
-fn colors<'a>(lit_color: &'a [Vec3], fields: &'a Association, segment: &'a [u32], segments: usize) -> Colors<'a> {
-    Colors { lit_color, lit_weight: &fields.lit_weight, segment, segments }
-}
-
-/// What predicts mirrored light: the bands that mirrors show.
-#[must_use]
-pub fn reflection<'a>(mesh: &'a Mesh, scene: &'a RayScene, found: &'a Factorised) -> Reflection<'a> {
-    let light = &found.solution.light;
-    let light = &light[..light.len().min(sh::MIRRORED_BANDS * sh::MIRRORED_BANDS)];
-    Reflection { mesh, scene, light, irradiance: &found.irradiance }
+    /// Tries two bands more, up to the maximum, while they improve the prediction significantly.
+    fn more_bands<'o>(&self, mut best: Cleaned<'o>, decisions: &mut Vec<Decision>) -> Cleaned<'o> {
+        let first = best.options.bands;
+        while best.options.bands + 2 <= best.options.max_bands {
+            let before = best.options.bands;
+            let error_before = best.prediction.error();
+            let options = FactorisationOptions { bands: before + 2, ..best.options };
+            let mut trial = self.cleaned(&best.found, &best.gloss, options);
+            let mut errors = vec![trial.prediction.error()];
+            errors.extend(self.repeat(&mut trial));
+            let better = trial.prediction.gain_over(&best.prediction) > self.tuning.min_prediction_gain;
+            if better {
+                best = trial;
+            }
+            decisions.push(Decision::BandsWithoutGloss {
+                chosen: best.options.bands as u32,
+                first: first as u32,
+                before: before as u32,
+                tried: options.bands as u32,
+                error_before,
+                errors,
+            });
+            if !better {
+                break;
+            }
+        }
+        best
+    }
 }

@@ -3,13 +3,14 @@
 use crate::api::EstimateError;
 use crate::api::Options;
 use crate::api::Progress;
-use crate::budget::{self, Machine, Plan, WallClock};
-use crate::factorisation::{Factorised, Settings, Start, factorise};
-use crate::specular::refit;
-use crate::stages::{self, Ready};
+use crate::budget::{self, Machine, WallClock};
+use crate::factorisation::{FactorisationOptions, Factorised, Start, factorise};
+use crate::numerics::sh::MAX_BANDS;
+use crate::specular::refit::{Refitted, refit};
+use crate::stages::{self, Prepared, Run};
 use crate::sweep::point::Point;
 use crate::sweep::truth::{Answer, Truth};
-use crate::transfer::{self, Traced};
+use crate::transfer::{self, Traced, Tracer};
 use firmware_config::{EstimatorConfig, Quality, SolverChoice, Switch};
 use recordings::decision::TransferLevel;
 use recordings::scan::Scan;
@@ -29,7 +30,7 @@ const UNLIMITED: Options = Options { budget: Duration::from_secs(1_000_000), rou
 
 /// What settings share, and its cost.
 struct Shared {
-    ready: Ready,
+    prepared: Prepared,
     seconds: f64,
     keyframes: usize,
 }
@@ -56,15 +57,16 @@ pub fn sweep(
     for (name, quality) in [("draft", Quality::Draft), ("best", Quality::Best)] {
         run.variant(name, &budget::at_quality(&EstimatorConfig { quality, ..config.clone() }), 1.0, 1)?;
     }
-    let open = run.timed(|_| Arc::new(transfer::unoccluded(&shared.ready.mesh, crate::numerics::sh::MAX_BANDS)));
+    let open = run.timed(|_| Arc::new(transfer::unoccluded(&shared.prepared.mesh, MAX_BANDS)));
     for rays in RAYS {
         if run.is_over() {
             break;
         }
-        let (mesh, scene) = (&shared.ready.mesh, &shared.ready.scene);
+        let Prepared { mesh, scene, .. } = &shared.prepared;
+        let tracer = Tracer { mesh, scene, bands: MAX_BANDS, seed: config.seed };
         let traced = run.timed(|run| {
             let report = |share| run.progress.stage("transfer", share);
-            Arc::new(transfer::trace(mesh, scene, crate::numerics::sh::MAX_BANDS, rays, config.seed, &report))
+            Arc::new(tracer.trace(rays, &report))
         });
         if rays == RAYS[0] {
             BANDS.into_iter().for_each(|bands| run.grid(&mut shared, &open, TransferLevel::Diffuse, bands));
@@ -90,13 +92,13 @@ pub fn sweep(
 }
 
 /// What follows the first factorisation of a setting.
-enum Specular<'a> {
+enum Specular<'r, 'a> {
     /// Nothing: the setting has no specular step of ours.
     Skip,
     /// Specular weights and one factorisation without gloss.
     Refit,
     /// As `lumiscan estimate` does: also the refinement after it.
-    RefitAndRefine(&'a EstimatorConfig, &'a mut Plan<'a>),
+    RefitAndRefine(&'r mut Run<'a>),
 }
 
 struct Sweep<'a> {
@@ -110,7 +112,7 @@ struct Sweep<'a> {
     progress: &'a dyn Progress,
 }
 
-impl Sweep<'_> {
+impl<'a> Sweep<'a> {
     fn timed<T>(&self, work: impl FnOnce(&Self) -> T) -> (T, f64) {
         let before = self.clock.now();
         let done = work(self);
@@ -122,12 +124,12 @@ impl Sweep<'_> {
     }
 
     fn prepare(&self, config: &EstimatorConfig, vertices: f64, stride: usize) -> Result<Shared, EstimateError> {
-        let (ready, seconds) = self.timed(|run| {
-            let mut plan = Plan::new(run.clock, &UNLIMITED, config, stages::size(run.scan, config));
-            plan.restrict(vertices, stride);
-            stages::prepare(run.scan, config, &mut plan, run.progress)
+        let (prepared, seconds) = self.timed(|sweep| {
+            let mut run = Run::new(sweep.clock, sweep.scan, config, &UNLIMITED, sweep.progress);
+            run.plan.restrict(vertices, stride);
+            stages::prepare(sweep.scan, &mut run)
         });
-        Ok(Shared { ready: ready?, seconds, keyframes: self.scan.keyframes.len().div_ceil(stride) })
+        Ok(Shared { prepared: prepared?, seconds, keyframes: self.scan.keyframes.len().div_ceil(stride) })
     }
 
     fn variant(
@@ -146,30 +148,21 @@ impl Sweep<'_> {
 
     fn automatic(&mut self, name: &str, config: &EstimatorConfig, shared: &mut Shared) {
         let before = self.clock.now();
-        let mut plan = Plan::new(self.clock, &UNLIMITED, config, stages::size(self.scan, config));
-        let traced = stages::transfer(&shared.ready, config, &UNLIMITED, &mut plan, self.progress);
-        let ready = &mut shared.ready;
-        let settled = stages::settle(ready, traced, config, &UNLIMITED, &mut plan, self.progress);
-        let spent = self.clock.now() - before;
-        self.point(
-            name,
-            shared,
-            &(settled.traced, spent),
-            settled.settings,
-            settled.start,
-            Specular::RefitAndRefine(config, &mut plan),
-        );
+        let mut run = Run::new(self.clock, self.scan, config, &UNLIMITED, self.progress);
+        let traced = stages::trace(&shared.prepared, &mut run);
+        let model = stages::select_model(&mut shared.prepared, traced, &mut run);
+        let traced = (model.traced, self.clock.now() - before);
+        self.point(name, shared, &traced, &model.options, model.start, Specular::RefitAndRefine(&mut run));
     }
 
     fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: TransferLevel, bands: usize) {
-        let settings = Settings {
-            gi: transfer == TransferLevel::Gi,
-            bands,
-            most_bands: bands,
-            bounces: 0,
-            solver: SolverChoice::Robust,
-        };
-        self.point("grid", shared, traced, settings, None, Specular::Refit);
+        let options = self.options(transfer == TransferLevel::Gi, bands, SolverChoice::Robust);
+        self.point("grid", shared, traced, &options, None, Specular::Refit);
+    }
+
+    fn options(&self, gi: bool, bands: usize, solver: SolverChoice) -> FactorisationOptions<'a> {
+        let tuning = &self.config.tuning.factorisation;
+        FactorisationOptions { gi, bands, max_bands: bands, bounces: 0, solver, tuning }
     }
 
     /// The paper's own update at its setting, without our specular refit, which would add to its time; the same update,
@@ -181,8 +174,8 @@ impl Sweep<'_> {
             ("literal", auto, SolverChoice::Literal, Specular::Refit),
             ("nonsegmented", auto, SolverChoice::Nonsegmented, Specular::Refit),
         ] {
-            let settings = Settings { gi: true, bands, most_bands: bands, bounces: 0, solver };
-            self.point(name, shared, traced, settings, None, specular);
+            let options = self.options(true, bands, solver);
+            self.point(name, shared, traced, &options, None, specular);
         }
     }
 
@@ -191,38 +184,39 @@ impl Sweep<'_> {
         name: &str,
         shared: &mut Shared,
         traced: &(Arc<Traced>, f64),
-        settings: Settings,
+        options: &FactorisationOptions,
         start: Option<Start>,
-        specular: Specular<'_>,
+        specular: Specular,
     ) {
         if self.is_over() {
             return;
         }
         self.progress.stage("factorisation", 0.0);
-        let ready = &mut shared.ready;
+        let prepared = &mut shared.prepared;
         // The refit takes gloss out of exposures and lit colours: they are restored for the next setting.
-        let fields = ready.fields.clone();
+        let fields = prepared.fields.clone();
         let before = self.clock.now();
-        let mut found = factorise(Arc::clone(&traced.0), &ready.colors(), &settings, start);
+        let mut found = factorise(Arc::clone(&traced.0), &prepared.colors(), options, start);
         if self.config.specular != Switch::Off && !matches!(specular, Specular::Skip) {
-            let gloss;
-            (found, gloss, _) =
-                refit::refit(&ready.mesh, &ready.scene, &mut ready.fields, &ready.segment, found, &settings);
-            if let Specular::RefitAndRefine(config, plan) = specular
+            let (surface, fields) = prepared.surface();
+            let Refitted { found: without_gloss, gloss, .. } =
+                refit(&surface, fields, found, options, &self.config.tuning.specular);
+            found = without_gloss;
+            if let Specular::RefitAndRefine(run) = specular
                 && gloss.iter().any(|g| g.significant)
             {
-                found = stages::refine(ready, found, &settings, config, &UNLIMITED, plan, self.progress);
+                found = stages::refine(prepared, found, options, run);
             }
         }
         let seconds = shared.seconds + traced.1 + self.clock.now() - before;
-        let (albedo_error, irradiance_error) = self.errors(ready, &found);
-        ready.fields = fields;
+        let (albedo_error, irradiance_error) = self.errors(prepared, &found);
+        prepared.fields = fields;
         self.points.push(Point {
             name: name.into(),
             bands: found.solution.light.len().isqrt(),
             transfer: stages::transfer_level(&found),
             rays: found.transfer.traced.rays,
-            vertices: ready.mesh.positions.len(),
+            vertices: prepared.mesh.positions.len(),
             keyframes: shared.keyframes,
             seconds,
             albedo_error,
@@ -231,20 +225,20 @@ impl Sweep<'_> {
         });
     }
 
-    fn errors(&self, ready: &Ready, found: &Factorised) -> (f64, f64) {
-        let seen: Vec<bool> = ready.fields.offsets.windows(2).map(|o| o[1] - o[0] >= 2).collect();
+    fn errors(&self, prepared: &Prepared, found: &Factorised) -> (f64, f64) {
+        let seen: Vec<bool> = prepared.fields.offsets.windows(2).map(|o| o[1] - o[0] >= 2).collect();
         self.truth.errors(&Answer {
-            mesh: &ready.mesh,
-            scene: &ready.scene,
-            views: &self.views(ready),
+            mesh: &prepared.mesh,
+            scene: &prepared.scene,
+            views: &self.views(prepared),
             seen: &seen,
             albedo: &found.detail.albedo,
             irradiance: &found.irradiance,
         })
     }
 
-    fn views(&self, ready: &Ready) -> Vec<(i64, recordings::types::Pose)> {
+    fn views(&self, prepared: &Prepared) -> Vec<(i64, recordings::types::Pose)> {
         let times = self.scan.keyframes.iter().map(|k| k.color.timestamp_ns);
-        times.zip(&ready.fields.views).map(|(t, v)| (t, v.world_from_camera)).collect()
+        times.zip(&prepared.fields.views).map(|(t, v)| (t, v.world_from_camera)).collect()
     }
 }

@@ -4,14 +4,17 @@
 //! that does it.
 
 mod association;
+mod budget;
 mod compositing;
 mod depth_noise;
 mod distance_check;
 mod exposure;
+mod factorisation;
 mod gravity;
 mod inpainting;
 mod keyframes;
 mod mesh;
+mod model_selection;
 mod pose;
 mod preprocessing;
 mod relocalisation;
@@ -20,25 +23,30 @@ mod response;
 mod rotation_search;
 mod segmentation;
 mod session;
+mod specular;
 mod supervision;
 mod surface_coverage;
 mod surroundings;
 mod timing;
 mod tracking;
 mod tracking_effort;
+mod validation;
 mod volume;
 
 use crate::settings::tuning;
 
 pub use association::AssociationTuning;
+pub use budget::BudgetTuning;
 pub use compositing::CompositingTuning;
 pub use depth_noise::{DepthNoise, DepthNoiseTuning};
 pub use distance_check::DistanceCheckTuning;
 pub use exposure::ExposureTuning;
+pub use factorisation::FactorisationTuning;
 pub use gravity::GravityTuning;
 pub use inpainting::InpaintingTuning;
 pub use keyframes::KeyframesTuning;
 pub use mesh::MeshTuning;
+pub use model_selection::ModelSelectionTuning;
 pub use pose::PoseTuning;
 pub use preprocessing::PreprocessingTuning;
 pub use relocalisation::RelocalisationTuning;
@@ -47,17 +55,29 @@ pub use response::ResponseTuning;
 pub use rotation_search::RotationSearchTuning;
 pub use segmentation::SegmentationTuning;
 pub use session::SessionTuning;
+pub use specular::SpecularTuning;
 pub use supervision::SupervisionTuning;
 pub use surface_coverage::SurfaceCoverageTuning;
 pub use surroundings::SurroundingsTuning;
 pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
 pub use tracking_effort::TrackingEffortTuning;
+pub use validation::ValidationTuning;
 pub use volume::VolumeTuning;
 
 tuning! {
     /// Thresholds of the estimator's stages.
     EstimatorTuning {
+        /// Planner of the time budget.
+        budget: BudgetTuning;
+        /// Selection of transfer, bands and rays.
+        model_selection: ModelSelectionTuning;
+        /// Factorisation into light and albedo.
+        factorisation: FactorisationTuning;
+        /// Specular weights.
+        specular: SpecularTuning;
+        /// Prediction of validation frames.
+        validation: ValidationTuning;
         /// Check of the distant-light assumption.
         distance_check: DistanceCheckTuning;
         /// Mesh regularisation.

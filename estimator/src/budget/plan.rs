@@ -1,0 +1,322 @@
+//! The plan of one run: what fits the budget, revised as stages end.
+
+use crate::api::Options;
+use crate::budget::cost_model::{self, Size};
+use crate::budget::machine::Machine;
+use crate::budget::probe::{self, Probe};
+use crate::budget::workload::Workload;
+use firmware_config::EstimatorConfig;
+use firmware_config::tuning::BudgetTuning;
+use recordings::decision::Cut;
+use std::sync::Mutex;
+
+/// The clock and the budget of one run.
+pub struct Plan<'a> {
+    machine: &'a dyn Machine,
+    /// Seconds; infinite where rounds replace the clock.
+    budget: f64,
+    size: Size,
+    tuning: BudgetTuning,
+    probe: Probe,
+    /// Reference seconds of work done since the probe.
+    work: f64,
+    /// Everything that was asked for.
+    full: Workload,
+    /// What is planned of it.
+    workload: Workload,
+    /// The difference, revised with the plan.
+    planned: Vec<Cut>,
+    /// Cuts that are final.
+    fixed: Vec<Cut>,
+}
+
+impl<'a> Plan<'a> {
+    /// Measures the machine and plans all stages. With rounds given, no clock is read.
+    #[must_use]
+    pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
+        let full = Workload::full(config, options.rounds);
+        let tuning = config.tuning.budget.clone();
+        let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
+        let (probe, planned, fixed) = (Probe { speed: 1.0, end: 0.0 }, Vec::new(), Vec::new());
+        let mut plan = Self { machine, budget, size, tuning, probe, work: 0.0, full, workload: full, planned, fixed };
+        if budget.is_finite() {
+            plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
+            tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.probe.speed);
+            let found = plan.fitting(full, |w| w.all(&size));
+            plan.adopt(found);
+        }
+        plan
+    }
+
+    /// The levels planned so far.
+    #[must_use]
+    pub fn workload(&self) -> Workload {
+        self.workload
+    }
+
+    /// What was cut.
+    #[must_use]
+    pub fn cuts(&self) -> Vec<Cut> {
+        self.planned.iter().chain(&self.fixed).cloned().collect()
+    }
+
+    /// Seconds that everything the settings ask for takes on this machine, budget or not.
+    #[must_use]
+    pub fn needed_seconds(&self) -> f64 {
+        self.full.all(&self.size) / self.speed()
+    }
+
+    /// Records a cut that is final.
+    pub fn cut(&mut self, what: Cut) {
+        self.fixed.push(what);
+    }
+
+    /// Restricts the run to a share of the vertices and to every `stride`-th keyframe.
+    pub fn restrict(&mut self, vertices: f64, stride: usize) {
+        if vertices < 1.0 {
+            self.workload.vertices = (self.size.vertices * vertices) as usize;
+        }
+        self.workload.keyframe_stride = stride.max(1);
+    }
+
+    /// Reference seconds per second, from the probe and the stages since.
+    fn speed(&self) -> f64 {
+        let spent = self.machine.now() - self.probe.end;
+        // The probe has the weight of one reference second of work.
+        ((self.work + 1.0) / (spent + 1.0 / self.probe.speed)).max(1e-12)
+    }
+
+    /// Reference seconds that are left to plan with.
+    fn left(&self) -> f64 {
+        if !self.budget.is_finite() {
+            return f64::INFINITY;
+        }
+        self.tuning.usable_share * self.speed() * (self.budget - self.machine.now())
+    }
+
+    /// The highest workload from `workload` down whose `cost` fits the time left; the lowest if none fits.
+    fn fitting(&self, mut workload: Workload, cost: impl Fn(&Workload) -> f64) -> Workload {
+        let left = self.left();
+        while cost(&workload) > left
+            && let Some(lower) = workload.lower(&self.size, &self.tuning)
+        {
+            workload = lower;
+        }
+        workload
+    }
+
+    fn adopt(&mut self, workload: Workload) {
+        let speed = self.speed();
+        let reductions = workload.reductions_from(&self.full, &self.size);
+        self.planned = reductions.into_iter().map(|what| Cut::Planned { what, speed }).collect();
+        self.workload = workload;
+    }
+
+    /// Reports finished work, in reference seconds.
+    pub fn worked(&mut self, reference_seconds: f64) {
+        if self.budget.is_finite() {
+            self.machine.worked(reference_seconds);
+            self.work += reference_seconds;
+        }
+    }
+
+    /// The mesh is made, with this many vertices.
+    pub fn mesh_done(&mut self, vertices: usize) {
+        let coarser = (self.workload.vertices as f64) < self.size.vertices;
+        self.worked(cost_model::mesh(&self.size, coarser));
+        self.size.vertices = vertices as f64;
+        (self.workload.vertices, self.full.vertices) = (vertices, vertices);
+        self.full.keyframe_stride = self.workload.keyframe_stride;
+        // Cuts of vertices and keyframes are final from now on.
+        let is_fixed = |cut: &Cut| matches!(cut, Cut::Planned { what, .. } if what.is_of_scan());
+        let (fixed, planned) = std::mem::take(&mut self.planned).into_iter().partition(is_fixed);
+        (self.fixed, self.planned) = (fixed, planned);
+    }
+
+    /// Maximum number of rounds of pose refinement; [`Self::pose_round`] may end them earlier.
+    #[must_use]
+    pub fn max_pose_rounds(&self) -> u32 {
+        self.full.pose_rounds
+    }
+
+    /// True if another round of pose refinement fits, besides the final round. Rounds that were not planned fit if gloss fits
+    /// too. Reports the round before as work.
+    pub fn pose_round(&mut self, round: u32) -> bool {
+        let size = self.workload.size(&self.size);
+        if round > 0 {
+            self.worked(cost_model::association(&size));
+        }
+        let pictures = if round == 0 { cost_model::pictures(&size) } else { 0.0 };
+        let rest = if round < self.workload.pose_rounds {
+            self.workload.least_light(&self.tuning).after_association(&size)
+        } else {
+            Workload { specular: self.full.specular, ..self.workload }.after_association(&size)
+        };
+        let fits = pictures + 2.0 * cost_model::association(&size) + rest <= self.left();
+        let pose_rounds = if fits { self.full.pose_rounds } else { round };
+        if !fits || round >= self.workload.pose_rounds {
+            self.adopt(Workload { pose_rounds, ..self.workload });
+        }
+        fits
+    }
+
+    /// The light field is made.
+    pub fn association_done(&mut self) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::pictures(&size) + cost_model::association(&size));
+    }
+
+    /// Segments are made: the rest is planned again.
+    pub fn segmentation_done(&mut self) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::segmentation(&size));
+        if self.budget.is_finite() {
+            let pose_rounds = self.workload.pose_rounds;
+            let Workload { vertices, keyframe_stride, .. } = self.full;
+            let rest = |w: &Workload| Workload { vertices, keyframe_stride, ..*w }.after_segmentation(&size);
+            let found = self.fitting(Workload { pose_rounds, ..self.full }, rest);
+            self.adopt(Workload { vertices, keyframe_stride, pose_rounds, ..found });
+        }
+    }
+
+    /// Time, in seconds, at which tracing has to end: the rest needs the time after it.
+    fn rays_deadline(&self) -> f64 {
+        if !self.budget.is_finite() {
+            return f64::INFINITY;
+        }
+        let size = self.workload.size(&self.size);
+        let least = self.workload.least_light(&self.tuning);
+        let rest = least.after_segmentation(&size) / (self.tuning.usable_share * self.speed());
+        let now = self.machine.now();
+        now + (self.budget - now - rest).max(0.0) * self.tuning.usable_share
+    }
+
+    /// A callback for tracing `rays` rays per vertex: gets the share done, returns false if they will not be done in time.
+    pub fn watch_rays<'b>(&'b self, rays: u32) -> impl Fn(f64) -> bool + Sync + use<'a, 'b> {
+        let (start, deadline) = (self.machine.now(), self.rays_deadline());
+        let (machine, finite) = (self.machine, self.budget.is_finite());
+        let all = cost_model::rays(self.size.vertices, rays);
+        let reported = Mutex::new(0.0f64);
+        move |share| {
+            if !finite {
+                return true;
+            }
+            if let Ok(mut reported) = reported.lock() {
+                machine.worked(all * (share - *reported).max(0.0));
+                *reported = reported.max(share);
+            }
+            let now = machine.now();
+            let end = start + (now - start) / share.max(0.02);
+            now < deadline && (end < deadline || share < 0.02)
+        }
+    }
+
+    /// Rays per vertex to trace after `rays` were late, more than the `have` already traced; `None` if there is no time for them.
+    pub fn fewer_rays(&mut self, rays: u32, have: u32) -> Option<u32> {
+        let fewer = rays / 4;
+        if have > 0 && fewer <= have {
+            self.fixed.push(Cut::LateRays { rays: have, instead_of: rays });
+            self.workload.rays = have;
+            return None;
+        }
+        if fewer < self.tuning.min_rays || self.machine.now() > self.rays_deadline() {
+            self.fixed.push(Cut::AbandonedTransfer { rays });
+            return None;
+        }
+        self.fixed.push(Cut::LateRays { rays: fewer, instead_of: rays });
+        self.workload.rays = fewer;
+        Some(fewer)
+    }
+
+    /// As many of the `wanted` rays per vertex as fit; `have` are traced already, a share `blocked` of them hit.
+    pub fn more_rays(&mut self, wanted: u32, have: u32, blocked: f64, bands: usize) -> u32 {
+        if !self.budget.is_finite() {
+            return wanted;
+        }
+        let size = self.workload.size(&self.size);
+        let mut rays = wanted;
+        let mut bounces = self.workload.bounces;
+        let done = cost_model::rays(size.vertices, have);
+        let cost = |rays, bounces| {
+            let workload = Workload { rays, bands, bounces, ..self.workload };
+            workload.light(&size, blocked) - done + workload.end(&size)
+        };
+        while rays > have && cost(rays, bounces) > self.left() {
+            match bounces {
+                1 => rays /= 2,
+                2 => bounces = 1,
+                _ => bounces = 2,
+            }
+        }
+        if rays < wanted {
+            self.fixed.push(Cut::FewerRays { rays, instead_of: wanted });
+        }
+        // The evidence of the scene replaces the number of rays that was planned without it.
+        self.full.rays = rays;
+        self.adopt(Workload { bounces, rays, ..self.workload });
+        rays
+    }
+
+    /// Rays are traced. The callback has reported them to the machine already.
+    pub fn rays_done(&mut self, rays: u32) {
+        self.work += cost_model::rays(self.size.vertices, rays);
+    }
+
+    /// Maximum numbers of bounces and bands that fit; `blocked` is the share of rays that hit.
+    pub fn light(&mut self, blocked: f64) -> (u32, usize) {
+        if self.budget.is_finite() {
+            let size = self.workload.size(&self.size);
+            let rest = |w: &Workload| w.light(&size, blocked) - cost_model::rays(size.vertices, w.rays) + w.end(&size);
+            let mut lower = self.workload;
+            while rest(&lower) > self.left() && (lower.bounces != 1 || lower.bands > 3) {
+                match lower.bounces {
+                    1 => lower.bands -= 2,
+                    2 => lower.bounces = 1,
+                    _ => lower.bounces = 2,
+                }
+            }
+            self.adopt(lower);
+        }
+        (self.workload.bounces, self.workload.bands)
+    }
+
+    /// Light and albedo are factorised.
+    pub fn light_done(&mut self, blocked: f64, bands: usize) {
+        let size = self.workload.size(&self.size);
+        let workload = Workload { bands, ..self.workload };
+        self.worked(workload.light(&size, blocked) - cost_model::rays(size.vertices, workload.rays));
+    }
+
+    /// True if gloss is asked for and fits.
+    pub fn specular(&mut self, bands: usize) -> bool {
+        let size = self.workload.size(&self.size);
+        let fits = cost_model::specular(&size, bands) + cost_model::output(&size) <= self.left();
+        if self.workload.specular && !fits {
+            self.fixed.push(Cut::Specular);
+        }
+        self.workload.specular && fits
+    }
+
+    /// Gloss was looked for.
+    pub fn specular_done(&mut self, bands: usize) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::specular(&size, bands));
+        (self.full.specular, self.workload.specular) = (false, false);
+    }
+
+    /// True if the prediction of another validation frame fits; reports it as work.
+    pub fn witness(&mut self) -> bool {
+        let size = self.workload.size(&self.size);
+        let fits = cost_model::witness(&size) + cost_model::output(&size) <= self.left();
+        if fits {
+            self.worked(cost_model::witness(&size));
+        }
+        fits
+    }
+
+    /// The result is about to be written; reports that as work.
+    pub fn writing(&mut self) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::output(&size));
+    }
+}

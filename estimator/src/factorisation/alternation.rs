@@ -1,0 +1,175 @@
+//! Light and segment albedos in turn, for one channel, on the statistics of the segments (Eqs. 10 and 11).
+
+use crate::factorisation::solution::{DIRECTIONS, directions};
+use crate::factorisation::statistics::{Folds, Statistics};
+use crate::numerics::sh;
+use firmware_config::tuning::FactorisationTuning;
+use nalgebra::{DMatrix, DVector};
+
+/// Maximum number of turns.
+const MAX_TURNS: usize = 80;
+/// The turns have converged when no log albedo changes by more.
+const ALBEDO_TOLERANCE: f64 = 1e-4;
+/// Maximum number of sweeps of the non-negative solver in one turn; the next turn continues them.
+const SWEEPS: usize = 12;
+/// Regularisation weights tried, strongest first.
+const REGULARISATIONS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
+/// Weight before one is chosen.
+pub(super) const FIRST_REGULARISATION: f64 = REGULARISATIONS[2];
+
+/// Projection of radiance over the directions to coefficients, light = P · radiance: SH values times the solid angle of a
+/// direction, `[k][direction]`.
+pub(super) struct Projection(DMatrix<f64>);
+
+impl Projection {
+    pub fn new(k: usize) -> Self {
+        let mut y = vec![0.0; k];
+        let mut projection = DMatrix::zeros(k, DIRECTIONS);
+        for (d, direction) in directions().into_iter().enumerate() {
+            sh::eval(direction, &mut y);
+            projection
+                .column_mut(d)
+                .iter_mut()
+                .zip(&y)
+                .for_each(|(p, y)| *p = y * 4.0 * std::f64::consts::PI / DIRECTIONS as f64);
+        }
+        Self(projection)
+    }
+
+    /// Number of coefficients.
+    pub fn coefficients(&self) -> usize {
+        self.0.nrows()
+    }
+}
+
+/// Radiance and albedos, for one channel.
+#[derive(Debug, Clone)]
+pub(super) struct Alternation {
+    /// `[direction]`, mean 1.
+    pub radiance: DVector<f64>,
+    /// `[segment]`.
+    pub albedo: Vec<f64>,
+}
+
+impl Alternation {
+    /// Coefficients of the light: `[k]`.
+    pub fn light(&self, projection: &Projection) -> DVector<f64> {
+        &projection.0 * &self.radiance
+    }
+
+    /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
+    pub fn run(
+        &mut self,
+        statistics: &[Statistics],
+        projection: &Projection,
+        regularisation: f64,
+        tuning: &FactorisationTuning,
+    ) {
+        let k = projection.coefficients();
+        let total: f64 = statistics.iter().map(|s| s.square).sum();
+        if total <= 0.0 {
+            return;
+        }
+        for _ in 0..MAX_TURNS {
+            let mut gram = DMatrix::zeros(k, k);
+            let mut cross = DVector::zeros(k);
+            for (s, a) in statistics.iter().zip(&self.albedo) {
+                gram += &s.gram * (a * a);
+                cross += &s.cross * *a;
+            }
+            // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
+            let strength = regularisation * total / DIRECTIONS as f64;
+            non_negative(&gram, &cross, projection, (strength, tuning.min_observability), &mut self.radiance);
+            let mean = self.radiance.mean();
+            if mean <= 0.0 || !mean.is_finite() {
+                self.radiance.fill(1.0);
+                return;
+            }
+            self.radiance /= mean;
+            let light = self.light(projection);
+            // Eq. (11), as a_u = Σ f E / Σ E².
+            let mut moved = 0.0f64;
+            for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
+                let predicted = light.dot(&(&s.gram * &light));
+                let explained = s.cross.dot(&light);
+                if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
+                    let new = explained / predicted;
+                    moved = moved.max(libm::log(new / *a).abs());
+                    *a = new;
+                }
+            }
+            if moved < ALBEDO_TOLERANCE {
+                break;
+            }
+        }
+    }
+
+    /// Runs with each regularisation weight and keeps the weakest that still lowers the held-out error. Returns the weight.
+    pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
+        let mut best: Option<(f64, f64, Self)> = None;
+        for regularisation in REGULARISATIONS {
+            let mut trial = self.clone();
+            trial.run(&folds.fitted, projection, regularisation, tuning);
+            let error = trial.relative_square_error(&folds.held_out, projection);
+            if best.as_ref().is_none_or(|b| error < b.1 * (1.0 - tuning.regularisation_min_gain)) {
+                best = Some((regularisation, error, trial));
+            }
+        }
+        match best {
+            Some((regularisation, _, trial)) => {
+                *self = trial;
+                regularisation
+            }
+            None => REGULARISATIONS[0],
+        }
+    }
+
+    /// Mean squared relative error over `statistics`; 0 where there are none.
+    pub fn relative_square_error(&self, statistics: &[Statistics], projection: &Projection) -> f64 {
+        let light = self.light(projection);
+        let (mut error, mut size) = (0.0, 0.0);
+        for (s, a) in statistics.iter().zip(&self.albedo) {
+            error += s.residual(*a, &light);
+            size += s.square;
+        }
+        if size > 0.0 { error / size } else { 0.0 }
+    }
+}
+
+/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from the given r. The gradient is
+/// kept as coefficients `[k]`. s_d is `strength`, and more for directions whose observability (the diagonal of Pᵀ G P) is
+/// below the share `min_observability` of the largest: directions that few vertices see would fit their errors.
+fn non_negative(
+    gram: &DMatrix<f64>,
+    cross: &DVector<f64>,
+    Projection(projection): &Projection,
+    (strength, min_observability): (f64, f64),
+    r: &mut DVector<f64>,
+) {
+    let columns = gram * projection;
+    let observability: Vec<f64> = (0..r.len()).map(|d| projection.column(d).dot(&columns.column(d)).max(0.0)).collect();
+    let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
+    let mut gradient = gram * (projection * &*r) - cross;
+    for _ in 0..SWEEPS {
+        let (mut moved, mut size) = (0.0, 0.0);
+        for d in 0..r.len() {
+            let column = projection.column(d);
+            let strength = strength * (1.0 + least / observability[d].max(1e-4 * least));
+            let diagonal = observability[d] + strength;
+            if diagonal <= 0.0 {
+                continue;
+            }
+            let slope = column.dot(&gradient) + strength * (r[d] - 1.0);
+            let step = (r[d] - slope / diagonal).max(0.0) - r[d];
+            if step != 0.0 {
+                r[d] += step;
+                gradient.axpy(step, &columns.column(d), 1.0);
+                moved += step * step;
+            }
+            size += r[d] * r[d];
+        }
+        if moved <= 1e-10 * size {
+            break;
+        }
+    }
+}

@@ -1,0 +1,144 @@
+//! Solver and transfer in turn.
+
+use crate::factorisation::albedo::{self, Detail, Evidence};
+use crate::factorisation::problem::{Colors, FactorisationOptions, Observed};
+use crate::factorisation::solution::Solution;
+use crate::factorisation::{paper_solver, robust_solver, scale};
+use crate::transfer::{self, Bounced, Traced, Transfer};
+use firmware_config::SolverChoice;
+use firmware_config::tuning::FactorisationTuning;
+use glam::Vec3;
+use std::sync::Arc;
+
+/// The answer of the factorisation.
+#[derive(Debug)]
+pub struct Factorised {
+    /// Transfer with the albedo found.
+    pub transfer: Transfer,
+    /// Light and segment albedos, scaled by the rule.
+    pub solution: Solution,
+    /// Albedo and its confidence per vertex.
+    pub detail: Detail,
+    /// Irradiance over π, linear RGB: `[vertex]`.
+    pub irradiance: Vec<Vec3>,
+}
+
+/// An earlier answer that a factorisation continues.
+#[derive(Debug, Clone)]
+pub struct Start {
+    solution: Solution,
+    albedo: Vec<Vec3>,
+    bounced: Option<Bounced>,
+}
+
+impl From<Factorised> for Start {
+    fn from(found: Factorised) -> Self {
+        Self { solution: found.solution, albedo: found.detail.albedo, bounced: found.transfer.bounced }
+    }
+}
+
+impl Factorised {
+    /// A start for another factorisation.
+    #[must_use]
+    pub fn start(&self) -> Start {
+        Start {
+            solution: self.solution.clone(),
+            albedo: self.detail.albedo.clone(),
+            bounced: self.transfer.bounced.clone(),
+        }
+    }
+}
+
+/// Factorises lit colours into light and albedo; continues `start` if there is one.
+#[must_use]
+pub fn factorise(
+    traced: Arc<Traced>,
+    colors: &Colors,
+    options: &FactorisationOptions,
+    start: Option<Start>,
+) -> Factorised {
+    let tuning = options.tuning;
+    let transfer_error = traced.relative_errors();
+    let mut transfer = Transfer { traced, bounced: None };
+    let (before, albedo) = match start {
+        Some(start) => {
+            transfer.bounced = start.bounced;
+            (Some(start.solution), start.albedo)
+        }
+        None => {
+            // The first albedo only bounces light: a few bands suffice for it.
+            let grey = vec![Vec3::splat(tuning.initial_albedo as f32); colors.lit_color.len()];
+            bounce(&mut transfer, &grey, options);
+            let bands = options.bands.min(tuning.first_bands as usize);
+            (
+                None,
+                solve(&transfer, colors, &FactorisationOptions { bands, ..*options }, None, &transfer_error).1.albedo,
+            )
+        }
+    };
+    bounce(&mut transfer, &albedo, options);
+    let (solution, detail, irradiance) = solve(&transfer, colors, options, before.as_ref(), &transfer_error);
+    Factorised { transfer, solution, detail, irradiance }
+}
+
+/// Light that explains the colours with fewer bands than `found` has.
+#[must_use]
+pub fn narrowed(found: &Factorised, colors: &Colors, bands: usize, tuning: &FactorisationTuning) -> Solution {
+    let observed = colors.under(&found.transfer);
+    let mut solution = robust_solver::solve(&observed, bands, Some(&found.solution), tuning);
+    scale::fix(&mut solution, colors, tuning);
+    solution
+}
+
+/// A solution under a first transfer, as a start for [`factorise`].
+#[must_use]
+pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution, tuning: &FactorisationTuning) -> Start {
+    scale::fix(&mut solution, colors, tuning);
+    let irradiance = transfer.irradiance(&solution.light);
+    let errors = transfer.traced.relative_errors();
+    let albedo = albedo::detail(&Evidence::new(colors, &irradiance, &errors), &solution.albedo, tuning).albedo;
+    Start { solution, albedo, bounced: transfer.bounced }
+}
+
+/// Interreflection for an albedo (Eq. 8), if it is modelled.
+fn bounce(transfer: &mut Transfer, albedo: &[Vec3], options: &FactorisationOptions) {
+    if options.gi {
+        transfer.bounced = Some(match transfer.bounced.take() {
+            Some(before) if options.bounces == 0 => transfer::bounce_on(&transfer.traced, albedo, before),
+            _ => transfer::bounce_scaled(&transfer.traced, albedo, options.bounces),
+        });
+    }
+}
+
+/// Light and albedo under a transfer (Eqs. 9–12): solution, detail, and irradiance over π per vertex.
+fn solve(
+    transfer: &Transfer,
+    colors: &Colors,
+    options: &FactorisationOptions,
+    start: Option<&Solution>,
+    transfer_error: &[f32],
+) -> (Solution, Detail, Vec<Vec3>) {
+    let (bands, tuning) = (options.bands, options.tuning);
+    let observed = colors.under(transfer);
+    let (mut solution, paper_albedo) = match options.solver {
+        SolverChoice::Robust => (robust_solver::solve(&observed, bands, start, tuning), None),
+        SolverChoice::Literal => {
+            let (solution, albedo) = paper_solver::solve(&observed, bands, tuning);
+            (solution, Some(albedo))
+        }
+        SolverChoice::Nonsegmented => {
+            let one_segment = vec![0; colors.segment.len()];
+            let whole = Observed { segment: &one_segment, segments: 1, ..observed };
+            let mut solution = robust_solver::solve(&whole, bands, None, tuning);
+            solution.albedo = vec![solution.albedo[0]; colors.segments];
+            (solution, None)
+        }
+    };
+    let scale = scale::fix(&mut solution, colors, tuning);
+    let irradiance = transfer.irradiance(&solution.light);
+    let mut detail = albedo::detail(&Evidence::new(colors, &irradiance, transfer_error), &solution.albedo, tuning);
+    if let Some(albedo) = paper_albedo {
+        detail.albedo = albedo.iter().map(|a| (*a * scale).clamp(Vec3::ZERO, Vec3::ONE)).collect();
+    }
+    (solution, detail, irradiance)
+}

@@ -1,0 +1,60 @@
+//! What is factorised, and how.
+
+use crate::transfer::Transfer;
+use firmware_config::SolverChoice;
+use firmware_config::tuning::FactorisationTuning;
+use glam::Vec3;
+
+/// Options of a factorisation.
+#[derive(Debug, Clone, Copy)]
+pub struct FactorisationOptions<'a> {
+    /// Interreflection is modelled.
+    pub gi: bool,
+    /// SH bands of the light.
+    pub bands: usize,
+    /// Maximum number of bands once gloss is removed.
+    pub max_bands: usize,
+    /// Bounces, scaled to the converged series; 0 = until convergence.
+    pub bounces: u32,
+    /// Solver.
+    pub solver: SolverChoice,
+    /// Thresholds.
+    pub tuning: &'a FactorisationTuning,
+}
+
+/// Lit colours and segments.
+#[derive(Debug, Clone, Copy)]
+pub struct Colors<'a> {
+    /// Lit colour f, linear RGB: `[vertex]`.
+    pub lit_color: &'a [Vec3],
+    /// Weight of the lit colour, 0 = never seen: `[vertex]`.
+    pub lit_weight: &'a [f32],
+    /// Segment index: `[vertex]`.
+    pub segment: &'a [u32],
+    /// Number of segments.
+    pub segments: usize,
+}
+
+impl<'a> Colors<'a> {
+    /// The same under a transfer.
+    #[must_use]
+    pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {
+        let Self { lit_color, lit_weight, segment, segments } = *self;
+        Observed { transfer, lit_color, lit_weight, segment, segments }
+    }
+}
+
+/// The terms of Eq. (9) that are known: f and T.
+#[derive(Debug, Clone, Copy)]
+pub struct Observed<'a> {
+    /// Transfer.
+    pub transfer: &'a Transfer,
+    /// Lit colour f, linear RGB: `[vertex]`.
+    pub lit_color: &'a [Vec3],
+    /// Weight of the lit colour, 0 = never seen: `[vertex]`.
+    pub lit_weight: &'a [f32],
+    /// Segment index: `[vertex]`.
+    pub segment: &'a [u32],
+    /// Number of segments.
+    pub segments: usize,
+}

@@ -1,0 +1,32 @@
+//! Light and segment albedos.
+
+use crate::numerics::sh;
+use glam::DVec3;
+
+/// Directions that carry radiance.
+pub(super) const DIRECTIONS: usize = 320;
+
+/// Light and segment albedos, up to one factor per channel.
+#[derive(Debug, Clone)]
+pub struct Solution {
+    /// SH coefficients of the radiance: `[k][channel]`, bands² rows.
+    pub light: Vec<[f64; 3]>,
+    /// Posterior standard deviation of `light`, same shape.
+    pub standard_deviation: Vec<[f64; 3]>,
+    /// Non-negative radiance over [`directions`]: `[direction][channel]`.
+    pub radiance: Vec<[f64; 3]>,
+    /// Albedo: `[segment][channel]`.
+    pub albedo: Vec<[f64; 3]>,
+    /// Relative RMS error on held-out vertices.
+    pub held_out: f64,
+    /// Regularisation weight chosen by held-out error: `[channel]`.
+    pub regularisation: [f64; 3],
+    /// Condition number of the normal equations of the light, without regularisation.
+    pub condition: f64,
+}
+
+/// The unit directions of [`Solution::radiance`], evenly spread.
+#[must_use]
+pub fn directions() -> Vec<DVec3> {
+    sh::even_directions(DIRECTIONS)
+}

@@ -1,0 +1,215 @@
+//! Specular weights of every segment (Eq. 13).
+
+use crate::association::Association;
+use crate::numerics::robust::{median, robust_sigma};
+use crate::specular::gloss::{Gloss, LOBES};
+use crate::specular::observations::{MirrorObservation, MirrorObservations};
+use crate::specular::reflection::Reflection;
+use firmware_config::tuning::SpecularTuning;
+use nalgebra::{Matrix4, Vector4};
+use rayon::prelude::*;
+
+/// Rounds of reweighting.
+const ROUNDS: usize = 5;
+/// Share of 1 that the determinant of Eq. (13) must reach; below, f and f_s are collinear and w_s is 0.
+const NEARLY_COLLINEAR: f64 = 1e-3;
+
+/// One channel of one observation, all colours divided by its error.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    /// e_j f~_ij.
+    seen: f64,
+    /// f_i.
+    lit: f64,
+    /// E_i.
+    irradiance: f64,
+    channel: usize,
+    /// f_s for every lobe.
+    mirror: [f64; LOBES.len()],
+    /// The same minus its median over the vertex's views.
+    change: [f64; LOBES.len()],
+    robust: f64,
+}
+
+/// Fits every segment; `segment` is `[vertex]`, the result `[segment]`.
+#[must_use]
+pub fn fit(
+    reflection: &Reflection,
+    association: &Association,
+    segment: &[u32],
+    segments: usize,
+    tuning: &SpecularTuning,
+) -> Vec<Gloss> {
+    let observations = MirrorObservations::new(reflection, association, tuning.min_views);
+    let views = |i: usize| (association.offsets[i + 1] - association.offsets[i]) as usize;
+    let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); segments];
+    for (i, s) in segment.iter().enumerate() {
+        if views(i) >= tuning.min_views as usize && association.lit_weight[i] > 0.0 {
+            of_segment[*s as usize].push(i);
+        }
+    }
+    of_segment
+        .into_iter()
+        .map(|vertices| {
+            let total: usize = vertices.iter().map(|&i| views(i)).sum();
+            let stride = total.div_ceil(tuning.max_observations as usize).max(1);
+            let chosen: Vec<usize> = vertices.into_iter().step_by(stride).collect();
+            let found: Vec<MirrorObservation> =
+                chosen.par_iter().flat_map_iter(|&i| observations.of(i, false)).collect();
+            SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |mut fit| fit.gloss())
+        })
+        .collect()
+}
+
+/// The fit of one segment.
+struct SegmentFit<'a> {
+    samples: Vec<Sample>,
+    /// Robust standard deviation of seen − lit.
+    spread: f64,
+    tuning: &'a SpecularTuning,
+}
+
+impl<'a> SegmentFit<'a> {
+    /// `None` for a segment without light or observations.
+    fn new(observations: &[MirrorObservation], tuning: &'a SpecularTuning) -> Option<Self> {
+        // Errors of a picture grow with its brightness; all channels of a segment have equal weight.
+        let size = median(observations.iter().map(|o| (o.lit[0] + o.lit[1] + o.lit[2]) / 3.0));
+        let size = size.filter(|s| *s > 0.0)?;
+        let sample = |o: &MirrorObservation, c: usize| {
+            let scale = libm::sqrt(o.weight.max(1e-3)) / (o.lit[c] + tuning.dark_floor * size);
+            Sample {
+                seen: o.seen[c] * scale,
+                lit: o.lit[c] * scale,
+                irradiance: o.irradiance[c] * scale,
+                channel: c,
+                mirror: o.mirror.map(|m| m[c] * scale),
+                change: o.change.map(|m| m[c] * scale),
+                robust: 1.0,
+            }
+        };
+        let samples: Vec<Sample> = observations.iter().flat_map(|o| [0, 1, 2].map(|c| sample(o, c))).collect();
+        let spread = robust_sigma(samples.iter().map(|s| (s.seen - s.lit).abs())) + 1e-9;
+        Some(Self { samples, spread, tuning })
+    }
+
+    /// The lobe and weight that explain the changes between views best; the level of the colours may raise the weight.
+    fn gloss(&mut self) -> Gloss {
+        let mut best: Option<(f64, Gloss)> = None;
+        for lobe in 0..LOBES.len() {
+            let Some((weight, error)) = self.change_weight(lobe) else { continue };
+            // The loss has the same unit for every lobe.
+            let residual = |s: &Sample| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs();
+            let loss: f64 = self.samples.iter().map(|s| self.huber(residual(s) / self.spread)).sum();
+            let significant = weight > self.tuning.min_significance * error;
+            let gloss = Gloss { error, significant, lobe, lobe_weight: weight.max(0.0), ..Gloss::NONE };
+            if best.is_none_or(|(least, _)| loss < least) {
+                best = Some((loss, gloss));
+            }
+        }
+        let Some((_, mut gloss)) = best else { return Gloss::NONE };
+        if gloss.significant {
+            let mut least = f64::INFINITY;
+            let by_change = gloss.lobe_weight;
+            for lobe in 0..LOBES.len() {
+                let Some((level, error, loss)) = self.level_weight(lobe) else { continue };
+                if loss < least && level > by_change + self.tuning.min_significance * error {
+                    least = loss;
+                    gloss.lobe = lobe;
+                    gloss.lobe_weight = level.min(self.tuning.max_level_ratio * by_change);
+                }
+            }
+        }
+        let (w_d, w_s) = mirror_weights(&self.samples, &gloss);
+        Gloss { w_d, w_s, ..gloss }
+    }
+
+    /// Huber's loss of a residual in standard deviations.
+    fn huber(&self, residual: f64) -> f64 {
+        let r = residual / self.tuning.huber;
+        if r < 1.0 { r * r } else { 2.0 * r - 1.0 }
+    }
+
+    /// Sets Huber's weights for these residuals and returns their robust standard deviation.
+    fn reweight(&mut self, residual: impl Fn(&Sample) -> f64) -> f64 {
+        let sigma = robust_sigma(self.samples.iter().map(&residual)) + 1e-9;
+        let bound = self.tuning.huber * sigma;
+        self.samples.iter_mut().for_each(|s| s.robust = bound / residual(s).max(bound));
+        sigma
+    }
+
+    /// Robust weight of a lobe from the changes between views, with its standard error.
+    fn change_weight(&mut self, lobe: usize) -> Option<(f64, f64)> {
+        self.samples.iter_mut().for_each(|s| s.robust = 1.0);
+        let (mut weight, mut error) = (0.0, f64::INFINITY);
+        for _ in 0..ROUNDS {
+            let (square, cross) = self.samples.iter().fold((0.0, 0.0), |(square, cross), s| {
+                let change = s.change[lobe];
+                (square + s.robust * change * change, cross + s.robust * change * (s.seen - s.lit))
+            });
+            if square <= 0.0 {
+                return None;
+            }
+            weight = cross / square;
+            let sigma = self.reweight(|s| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs());
+            error = sigma * libm::sqrt(self.tuning.correlated_observations / square);
+        }
+        Some((weight, error))
+    }
+
+    /// Robust weight of a lobe from the level of the colours, e_j f~_ij = a_c E_i + w f_s,ij with one albedo per channel: weight,
+    /// standard error, loss. Gloss that is equal in all views shows here only, best in dark channels. Light that was estimated
+    /// too smooth makes the weight from the changes too small, but hardly affects the level.
+    fn level_weight(&mut self, lobe: usize) -> Option<(f64, f64, f64)> {
+        self.samples.iter_mut().for_each(|s| s.robust = 1.0);
+        let (mut weight, mut error, mut loss) = (0.0, f64::INFINITY, f64::INFINITY);
+        for _ in 0..ROUNDS {
+            let (mut normal, mut target) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
+            for s in &self.samples {
+                let (c, e, m) = (s.channel, s.irradiance, s.mirror[lobe]);
+                normal[(c, c)] += s.robust * e * e;
+                normal[(c, 3)] += s.robust * e * m;
+                normal[(3, 3)] += s.robust * m * m;
+                target[c] += s.robust * e * s.seen;
+                target[3] += s.robust * m * s.seen;
+            }
+            for c in 0..3 {
+                normal[(3, c)] = normal[(c, 3)];
+            }
+            let inverse = normal.try_inverse()?;
+            let x = inverse * target;
+            let residual = |s: &Sample| (s.seen - x[s.channel] * s.irradiance - x[3] * s.mirror[lobe]).abs();
+            let sigma = self.reweight(residual);
+            let variance = self.tuning.correlated_observations * inverse[(3, 3)].max(0.0);
+            (weight, error) = (x[3], sigma * libm::sqrt(variance));
+            let total = self.samples.iter().map(|s| self.huber(residual(s) / self.spread)).sum::<f64>();
+            loss = total / self.samples.len() as f64;
+        }
+        Some((weight, error, loss))
+    }
+}
+
+/// w_d and w_s of Eq. (13), both ≥ 0, for the colours that the lobe predicts. A mirror fitted to noisy colours under light that
+/// was estimated too smooth gets too small a weight; the lobe's weight already combines level and change.
+fn mirror_weights(samples: &[Sample], gloss: &Gloss) -> (f64, f64) {
+    let (mut ff, mut fs, mut ss, mut fy, mut sy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for s in samples {
+        let (mirror, seen) = (s.mirror[0], s.lit + gloss.lobe_weight * s.mirror[gloss.lobe]);
+        ff += s.lit * s.lit;
+        fs += s.lit * mirror;
+        ss += mirror * mirror;
+        fy += s.lit * seen;
+        sy += mirror * seen;
+    }
+    let determinant = ff * ss - fs * fs;
+    if ff <= 0.0 || determinant <= NEARLY_COLLINEAR * ff * ss {
+        return (if ff > 0.0 { fy / ff } else { 1.0 }, 0.0);
+    }
+    let (w_d, w_s) = ((fy * ss - sy * fs) / determinant, (sy * ff - fy * fs) / determinant);
+    if w_s < 0.0 {
+        (fy / ff, 0.0)
+    } else if w_d < 0.0 {
+        (0.0, sy / ss)
+    } else {
+        (w_d, w_s)
+    }
+}

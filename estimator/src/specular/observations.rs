@@ -1,0 +1,78 @@
+//! Observations of a vertex beside the reflected light that is predicted for them.
+
+use crate::association::Association;
+use crate::numerics::robust::median;
+use crate::numerics::sh;
+use crate::specular::gloss::LOBES;
+use crate::specular::reflection::Reflection;
+use glam::DVec3;
+
+/// One observation of a vertex. Colours are linear RGB.
+pub(super) struct MirrorObservation {
+    /// e_j f~_ij.
+    pub seen: [f64; 3],
+    /// f_i.
+    pub lit: [f64; 3],
+    /// E_i.
+    pub irradiance: [f64; 3],
+    /// f_s,ij for every lobe.
+    pub mirror: [[f64; 3]; LOBES.len()],
+    /// The same minus its median over the views of the vertex.
+    pub change: [[f64; 3]; LOBES.len()],
+    /// Weight of the observation.
+    pub weight: f64,
+}
+
+/// The observations of the surface with predicted reflections.
+pub(super) struct MirrorObservations<'a> {
+    reflection: Reflection<'a>,
+    lights: [Vec<[f64; 3]>; LOBES.len()],
+    association: &'a Association,
+    min_views: usize,
+}
+
+impl<'a> MirrorObservations<'a> {
+    /// Vertices with fewer than `min_views` views have no observations.
+    pub fn new(reflection: &Reflection<'a>, association: &'a Association, min_views: u32) -> Self {
+        let min_views = min_views as usize;
+        Self { reflection: *reflection, lights: reflection.blurred(), association, min_views }
+    }
+
+    /// The observations of a vertex whose mirror direction is free. With `blocked`, also those whose mirror direction hits a
+    /// surface that was seen: Eq. (13) drops them, but they hold gloss like the others.
+    pub fn of(&self, vertex: usize, blocked: bool) -> Vec<MirrorObservation> {
+        let Self { reflection, lights, association, .. } = self;
+        let (position, normal) = (reflection.mesh.positions[vertex], reflection.mesh.normals[vertex]);
+        let lit = association.lit_color[vertex].to_array().map(f64::from);
+        let irradiance = reflection.irradiance[vertex].to_array().map(f64::from);
+        let range = association.offsets[vertex] as usize..association.offsets[vertex + 1] as usize;
+        let mut found: Vec<MirrorObservation> = association.observations[range]
+            .iter()
+            .filter_map(|o| {
+                let camera = association.views[o.keyframe as usize].world_from_camera.translation;
+                let to_camera = (camera - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
+                let mirror = match reflection.mirror(position, normal, to_camera)? {
+                    (direction, None) => {
+                        lights.each_ref().map(|l| sh::radiance(l, direction.as_dvec3()).map(|x| x.max(0.0)))
+                    }
+                    (direction, Some(hit)) if blocked => {
+                        [reflection.lit_at(association, direction, &hit)?; LOBES.len()]
+                    }
+                    _ => return None,
+                };
+                let (seen, weight) = (o.color.map(f64::from), f64::from(o.weight));
+                Some(MirrorObservation { seen, lit, irradiance, mirror, change: mirror, weight })
+            })
+            .collect();
+        if found.len() < self.min_views {
+            return Vec::new();
+        }
+        for b in 0..LOBES.len() {
+            for c in 0..3 {
+                let middle = median(found.iter().map(|p| p.mirror[b][c])).unwrap_or(0.0);
+                found.iter_mut().for_each(|p| p.change[b][c] -= middle);
+            }
+        }
+        found
+    }
+}

@@ -1,0 +1,16 @@
+//! The stages of an estimate: a scan in, prepared data, a selected model and the parts of the result out. `estimate()` runs
+//! each once; the sweep runs some of them many times.
+
+mod gloss;
+mod model;
+mod prepare;
+mod result;
+mod run;
+mod witnesses;
+
+pub use gloss::{Answer, remove_gloss};
+pub use model::{SelectedModel, refine, select_model, trace};
+pub use prepare::{Prepared, prepare};
+pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};
+pub use run::Run;
+pub use witnesses::witnesses;

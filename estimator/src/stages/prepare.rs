@@ -1,0 +1,89 @@
+//! Mesh, association and segmentation (§3.1 and §3.2).
+
+use crate::api::EstimateError;
+use crate::association::response;
+use crate::association::{self, Association, AssociationEffort};
+use crate::factorisation::Colors;
+use crate::mesh::regularise;
+use crate::rays::RayScene;
+use crate::segmentation;
+use crate::specular::refit::Surface;
+use crate::stages::run::Run;
+use recordings::decision::{Decision, Warning};
+use recordings::scan::Scan;
+use recordings::types::Mesh;
+
+/// A scan, ready for the factorisation.
+pub struct Prepared {
+    /// Regular mesh with unit normals.
+    pub mesh: Mesh,
+    /// The same for rays.
+    pub scene: RayScene,
+    /// Surface light field.
+    pub fields: Association,
+    /// Segment index: `[vertex]`.
+    pub segment: Vec<u32>,
+    /// Number of segments.
+    pub segments: usize,
+    /// Decisions so far.
+    pub decisions: Vec<Decision>,
+    /// Warnings so far.
+    pub warnings: Vec<Warning>,
+}
+
+impl Prepared {
+    /// What is factorised.
+    #[must_use]
+    pub fn colors(&self) -> Colors<'_> {
+        Colors {
+            lit_color: &self.fields.lit_color,
+            lit_weight: &self.fields.lit_weight,
+            segment: &self.segment,
+            segments: self.segments,
+        }
+    }
+
+    /// The surface whose gloss is fitted, and its light field.
+    pub fn surface(&mut self) -> (Surface<'_>, &mut Association) {
+        let Self { mesh, scene, fields, segment, segments, .. } = self;
+        (Surface { mesh, scene, segment, segments: *segments }, fields)
+    }
+}
+
+/// Mesh, association (Eqs. 2–5) and segments (Eqs. 6–7).
+///
+/// # Errors
+/// The scan is unusable: no triangle, or no keyframe that shows any of it.
+pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
+    let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
+    progress.stage("mesh", 0.0);
+    let mesh = if plan.workload().vertices < Run::size(scan, config).vertices as usize {
+        regularise::coarsened(&scan.mesh, plan.workload().vertices)
+    } else {
+        regularise::regularise(&scan.mesh, config, scan.source)
+    };
+    let scene = RayScene::new(&mesh);
+    if mesh.positions.is_empty() || mesh.triangles.is_empty() {
+        return Err(EstimateError::Unusable("the mesh has no triangle".into()));
+    }
+    plan.mesh_done(mesh.positions.len());
+    let effort = AssociationEffort {
+        rounds: plan.max_pose_rounds(),
+        stride: plan.workload().keyframe_stride,
+        go_on: &mut |round| plan.pose_round(round),
+    };
+    let mut fields =
+        association::associate_within(&mesh, &scene, &scan.keyframes, &scan.sensor.response, config, progress, effort);
+    plan.association_done();
+    let mut decisions = std::mem::take(&mut fields.decisions);
+    let (decision, mismatch) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);
+    decisions.push(decision);
+    if fields.lit_weight.iter().all(|w| *w <= 0.0) {
+        return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
+    }
+    progress.stage("segmentation", 0.0);
+    let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
+    let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
+    plan.segmentation_done();
+    Ok(Prepared { mesh, scene, fields, segment, segments, decisions, warnings: Vec::from_iter(mismatch) })
+}

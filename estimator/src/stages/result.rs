@@ -1,0 +1,118 @@
+//! The parts of the result.
+
+use crate::factorisation::{Factorised, directions, distance_check, narrowed};
+use crate::model_selection;
+use crate::numerics::sh;
+use crate::specular::Gloss;
+use crate::stages::gloss::Answer;
+use crate::stages::prepare::Prepared;
+use crate::transfer;
+use firmware_config::EstimatorConfig;
+use recordings::decision::{BouncedLight, Decision, TransferLevel, TransferNext, Warning};
+use recordings::result::{Light, ResultKeyframe, Segment};
+use recordings::scan::Scan;
+
+/// Keyframes with refined poses and exposures.
+#[must_use]
+pub fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
+    let keyframes = scan.keyframes.iter().zip(&prepared.fields.views);
+    let keyframes = keyframes.map(|(k, v)| ResultKeyframe {
+        name: k.name.clone(),
+        timestamp_ns: k.color.timestamp_ns,
+        gain: v.gain,
+        world_from_camera: v.world_from_camera,
+        camera: k.camera,
+        residual_px: v.residual_px,
+    });
+    keyframes.collect()
+}
+
+/// The light. With gloss it has no more than the bands that mirrors show ([`sh::MIRRORED_BANDS`]).
+#[must_use]
+pub fn light(prepared: &Prepared, answer: &Answer, config: &EstimatorConfig) -> Light {
+    let Answer { found, gloss } = answer;
+    let is_mirrored = gloss.iter().any(|g| g.significant);
+    let solution = if is_mirrored && found.solution.light.len() > sh::MIRRORED_BANDS * sh::MIRRORED_BANDS {
+        &narrowed(found, &prepared.colors(), sh::MIRRORED_BANDS, &config.tuning.factorisation)
+    } else {
+        &found.solution
+    };
+    Light {
+        coefficients: solution.light.clone(),
+        standard_deviation: solution.standard_deviation.clone(),
+        directions: directions().iter().map(|d| d.as_vec3().to_array()).collect(),
+        radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
+    }
+}
+
+/// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.
+#[must_use]
+pub fn segments(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
+    let mut vertices = vec![0u32; gloss.len()];
+    for s in segment {
+        vertices[*s as usize] += 1;
+    }
+    let rows = vertices.into_iter().zip(&found.solution.albedo).zip(gloss);
+    rows.map(|((vertices, albedo), g)| Segment {
+        vertices,
+        albedo: *albedo,
+        w_d: if g.significant { g.w_d } else { 1.0 },
+        w_s: if g.significant { g.w_s } else { 0.0 },
+        w_s_error: g.error,
+    })
+    .collect()
+}
+
+/// Checks the assumption of distant light.
+pub fn check_distance(prepared: &mut Prepared, found: &Factorised, config: &EstimatorConfig) {
+    let Prepared { mesh, fields, segment, .. } = prepared;
+    let (decision, warning) = distance_check::check(mesh, fields, segment, found, &config.tuning.distance_check);
+    prepared.decisions.push(decision);
+    prepared.warnings.extend(warning);
+}
+
+/// The level of a transfer.
+#[must_use]
+pub fn transfer_level(found: &Factorised) -> TransferLevel {
+    match (found.transfer.traced.rays, &found.transfer.bounced) {
+        (0, _) => TransferLevel::Diffuse,
+        (_, Some(_)) => TransferLevel::Gi,
+        _ => TransferLevel::Shade,
+    }
+}
+
+/// A warning where the surfaces do not determine most of the light.
+#[must_use]
+pub fn unseen_light(found: &Factorised, config: &EstimatorConfig) -> Option<Warning> {
+    let solution = &found.solution;
+    let level = solution.light.first().map_or(0.0, |c| c.iter().sum::<f64>() / 3.0);
+    let share = config.tuning.model_selection.undetermined_share;
+    // The linear band has three coefficients; a wall determines one of them at most.
+    let is_undetermined = |k: usize| {
+        let deviation = solution.standard_deviation.get(k).map_or(f64::INFINITY, |d| d.iter().sum::<f64>() / 3.0);
+        deviation > share * level
+    };
+    let directions = (1..4).filter(|k| is_undetermined(*k)).count() as u32;
+    (directions > 0 && solution.light.len() < sh::MAX_COEFFICIENTS).then_some(Warning::UnseenLight { directions })
+}
+
+/// The level of the transfer, and its evidence.
+#[must_use]
+pub fn transfer_decision(found: &Factorised, config: &EstimatorConfig) -> Decision {
+    let traced = &found.transfer.traced;
+    let (chosen, relative_error) = (transfer_level(found), traced.relative_error());
+    let bounced = found.transfer.bounced.as_ref();
+    Decision::Transfer {
+        chosen,
+        vertices: traced.vertices() as u32,
+        rays: traced.rays,
+        blocked: traced.mean_blocked(),
+        relative_error,
+        bounced: bounced.map(|b| BouncedLight { bounces: b.bounces, share: b.share, last_share: b.last_share }),
+        next: match chosen {
+            TransferLevel::Diffuse => TransferNext::Visibility,
+            TransferLevel::Shade => TransferNext::GreyBounce { share: model_selection::grey_bounce(traced, config) },
+            TransferLevel::Gi => TransferNext::TwiceRays { relative_error: transfer::ERROR_OF_TWICE * relative_error },
+        },
+    }
+}

@@ -1,0 +1,87 @@
+//! Tests of tracing and bounces on two planes that meet.
+
+use crate::rays::RayScene;
+use crate::transfer::bounces::{bounce, bounce_on, bounce_scaled};
+use crate::transfer::irradiance::Transfer;
+use crate::transfer::tracer::{MAX_HITS, Tracer, kept_rays};
+use glam::Vec3;
+use recordings::types::Mesh;
+use std::sync::Arc;
+
+/// A floor and a wall of `n` × `n` squares that meet along an edge.
+fn corner(n: u32) -> Mesh {
+    let mut mesh = Mesh::default();
+    for wall in [false, true] {
+        let first = mesh.positions.len() as u32;
+        for i in 0..=n {
+            for j in 0..=n {
+                let (x, y) = (i as f32 / n as f32, j as f32 / n as f32);
+                mesh.positions.push(if wall { Vec3::new(0.0, y, x) } else { Vec3::new(x, y, 0.0) });
+                mesh.normals.push(if wall { Vec3::X } else { Vec3::Z });
+            }
+        }
+        for i in 0..n {
+            for j in 0..n {
+                let a = first + i * (n + 1) + j;
+                mesh.triangles.extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
+            }
+        }
+    }
+    mesh
+}
+
+#[test]
+fn scaled_bounces_come_near_the_converged_series() {
+    let mesh = corner(24);
+    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let traced = Arc::new(tracer.trace(128, &|_| ()));
+    let albedo: Vec<Vec3> = mesh.normals.iter().map(|n| Vec3::new(0.9, 0.6, 0.3) * n.abs().x.max(0.7)).collect();
+    let light = [[0.8; 3], [0.1; 3], [0.5; 3], [-0.2; 3], [0.0; 3], [0.2; 3], [-0.1; 3], [0.1; 3], [0.3; 3]];
+    let arriving = |bounced| Transfer { traced: Arc::clone(&traced), bounced: Some(bounced) }.irradiance(&light);
+    let all = arriving(bounce(&traced, &albedo, 0));
+    let off = |some: Vec<Vec3>| {
+        let worst = all.iter().zip(&some).map(|(a, s)| ((*s - *a) / *a).abs().max_element());
+        worst.fold(0.0, f32::max)
+    };
+    let one = off(arriving(bounce(&traced, &albedo, 1)));
+    let scaled = off(arriving(bounce_scaled(&traced, &albedo, 1)));
+    assert!(one > 0.03, "later bounces matter here: {one}");
+    assert!(scaled < 0.3 * one, "{scaled} instead of {one}");
+    let grey = bounce(&traced, &vec![Vec3::splat(0.4); albedo.len()], 0);
+    let (before, on) = (off(arriving(grey.clone())), off(arriving(bounce_on(&traced, &albedo, grey))));
+    assert!(before > 0.03 && on < 3e-3, "from other albedos: {on}, which were {before} off");
+}
+
+#[test]
+fn kept_hits_stay_below_their_maximum_and_bounces_do_not_change() {
+    assert_eq!(kept_rays(1000, 128, 128_000), 128);
+    assert_eq!(kept_rays(1000, 128, 127_999), 64);
+    assert_eq!(kept_rays(2_000_000, 65_536, MAX_HITS), 16);
+    assert_eq!(kept_rays(usize::MAX, 128, MAX_HITS), 1);
+    let mesh = corner(24);
+    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let bounced = |kept| {
+        let traced = tracer.trace_range(0..512, kept, &|_| true).expect("traced");
+        assert!(traced.corners.len() <= kept as usize * mesh.positions.len());
+        let blocked = traced.mean_blocked();
+        (bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0).share, blocked)
+    };
+    let (all, few) = (bounced(512), bounced(32));
+    assert!(all.0 > 0.05 && (few.0 / all.0 - 1.0).abs() < 0.02, "{all:?} {few:?}");
+    assert_eq!(all.1, few.1, "blocked shares do not depend on the hits kept");
+}
+
+#[test]
+fn more_rays_continue_the_first() {
+    let mesh = corner(12);
+    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let traced = |rays, have| tracer.trace_while(rays, have, &|_| true).expect("traced");
+    let (all, more) = (traced(512, None), traced(512, Some(&traced(128, None))));
+    assert_eq!((all.rays, &all.offsets, &all.corners), (more.rays, &more.offsets, &more.corners));
+    let worst = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst(&all.blocked, &more.blocked) < 1e-6);
+    // The first rays alone may choose the other of the two estimates of Eq. (8).
+    let (error, size) = (all.relative_error(), more.relative_error());
+    assert!(worst(&all.direct, &more.direct) < 0.02, "{}", worst(&all.direct, &more.direct));
+    assert!((0.6..1.6).contains(&(error / size)), "{error} {size}");
+}
