@@ -1,9 +1,9 @@
 //! The bowl of fruit on the table.
 
 use super::material::Material;
+use super::placement::{Place, part};
 use super::scene::Part;
 use super::solid::{self, Solid};
-use super::tabletop::{Place, part};
 use super::texture::{clouds, mottled, noise, step};
 use glam::{Quat, Vec2, Vec3};
 

@@ -26,6 +26,7 @@ pub mod kinect;
 pub mod material;
 pub mod parallel;
 pub mod path;
+mod placement;
 pub mod random;
 pub mod render;
 pub mod scene;

@@ -4,31 +4,11 @@ use super::environment::Environment;
 use super::fruit;
 use super::material::Material;
 use super::path::Arc;
-use super::scene::{Part, Scene, Texture};
+use super::placement::{Place, part};
+use super::scene::{Part, Scene};
 use super::solid::{self, Solid};
 use super::texture::{check, clouds, mottled, noise, oak, step};
 use glam::{DVec3, Quat, Vec2, Vec3};
-
-/// Where a solid of its own frame stands: turned about z, then moved.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
-    pub(super) at: Vec3,
-    pub(super) turn: Quat,
-}
-
-impl Place {
-    pub(super) fn new(x: f32, y: f32, z: f32, yaw_deg: f32) -> Self {
-        Self { at: Vec3::new(x, y, z), turn: Quat::from_rotation_z(yaw_deg.to_radians()) }
-    }
-
-    pub(super) fn tilted(self, about: Vec3, deg: f32) -> Self {
-        Self { turn: self.turn * Quat::from_axis_angle(about.normalize(), deg.to_radians()), ..self }
-    }
-
-    pub(super) fn local(self, p: Vec3) -> Vec3 {
-        self.turn.inverse() * (p - self.at)
-    }
-}
 
 /// Builds the tabletop with cells of `cell_m` metres on the objects (half as fine again on the table).
 #[must_use]
@@ -63,20 +43,6 @@ pub fn arc() -> Arc {
         tremor: [0.0015, 0.15],
         duration_s: f64::from(FRAMES) / 15.0,
     }
-}
-
-pub(super) fn part(
-    name: &'static str,
-    material: Material,
-    place: Place,
-    reach: f32,
-    cell: f32,
-    solid: Solid,
-    color: impl Fn(Vec3) -> Vec3 + Send + Sync + 'static,
-) -> Part {
-    let mesh = solid::mesh(&|p| solid(place.local(p)), place.at - reach, place.at + reach, cell);
-    let texture: Texture = Box::new(move |p| color(place.local(p)).clamp(Vec3::splat(0.01), Vec3::splat(0.95)));
-    Part { name, material, texture, mesh }
 }
 
 /// A room as light from far away: bright window on the left, a smaller one in front, a warm lamp behind.
