@@ -9,7 +9,7 @@
 mod usage;
 
 use estimator::Options;
-use estimator::association;
+use estimator::association::{self, AssociationContext};
 use estimator::factorisation::{Colors, FactorisationOptions, factorise};
 use estimator::mesh::regularise;
 use estimator::numerics::sh;
@@ -68,8 +68,10 @@ fn main() {
             EstimatorConfig { max_vertices: size as u32, regularise: 0.01, rays: RAYS, ..EstimatorConfig::default() };
         let mesh = regularise::regularise(&scan.mesh, &config, ScanSource::Fusion);
         let scene = RayScene::new(&mesh);
-        let (fields, association) =
-            timed(|| association::associate(&mesh, &scene, &scan.keyframes, &scan.sensor.response, &config, &()));
+        let (fields, association) = timed(|| {
+            let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, &config);
+            association::associate(&context, &scan.keyframes, &())
+        });
         let (segment, segmentation) =
             timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));

@@ -1,6 +1,6 @@
 //! Association, segmentation and regularisation without usable input: the output stays valid.
 
-use estimator::association::{Association, associate};
+use estimator::association::{Association, AssociationContext, associate};
 use estimator::mesh::regularise;
 use estimator::rays::RayScene;
 use estimator::segmentation;
@@ -48,7 +48,7 @@ fn keyframe(height: f64, shift: f64, pixel: impl Fn(u32, u32) -> [u8; 3]) -> Key
 fn run(mesh: &Mesh, keyframes: &[Keyframe]) -> (Association, Vec<u32>) {
     let config = EstimatorConfig::default();
     let scene = RayScene::new(mesh);
-    let found = associate(mesh, &scene, keyframes, &Response::Srgb, &config, &());
+    let found = associate(&AssociationContext::new(mesh, &scene, &Response::Srgb, &config), keyframes, &());
     let segment = segmentation::segment(mesh, &scene, &found.lit_color, &found.lit_weight, &config);
     let n = mesh.positions.len();
     assert_eq!((found.lit_color.len(), found.lit_weight.len(), found.views.len()), (n, n, keyframes.len()));
@@ -100,7 +100,7 @@ fn exposures_far_apart_are_found() {
     let dark = keyframe(1.0, 0.0, |x, y| [shade(x, y); 3]);
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&mesh, &scene, &[bright, dark], &Response::Linear, &config, &());
+    let found = associate(&AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &[bright, dark], &());
     let ratio = found.views[0].gain[0] / found.views[1].gain[0];
     assert!((ratio / 4.0 - 1.0).abs() < 0.01, "{ratio}");
 }
@@ -119,7 +119,7 @@ fn exposures_ten_thousand_to_one() {
     let keyframes: Vec<Keyframe> = (0..15).map(|j| keyframe(1.0, 0.0, move |x, _| value(j, x))).collect();
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&mesh, &scene, &keyframes, &Response::Linear, &config, &());
+    let found = associate(&AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &keyframes, &());
     let ratio = found.views[1].gain[1] / found.views[14].gain[1];
     let expected = libm::pow(FACTOR, 13.0);
     // Eight bits round a value of 6 by several per cent: each link of the chain may be off by four.

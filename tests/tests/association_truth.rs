@@ -5,7 +5,7 @@
 #![allow(clippy::expect_used)]
 
 use estimator::Options;
-use estimator::association::{Association, associate};
+use estimator::association::{Association, AssociationContext, associate};
 use estimator::estimate;
 use estimator::rays::RayScene;
 use firmware_config::{EstimatorConfig, ExposureChoice, Switch};
@@ -19,7 +19,8 @@ fn associated(name: &str, config: &EstimatorConfig) -> (Truth, Association) {
     let truth = Truth::read(&tests::shared(), name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
     let scene = RayScene::new(&truth.mesh);
-    let association = associate(&truth.mesh, &scene, &scan.keyframes, &scan.sensor.response, config, &());
+    let association =
+        associate(&AssociationContext::new(&truth.mesh, &scene, &scan.sensor.response, config), &scan.keyframes, &());
     (truth, association)
 }
 

@@ -3,17 +3,16 @@
 use crate::api::Progress;
 use crate::association::context::AssociationContext;
 use crate::association::eligibility::EligibilityRules;
-use crate::association::exposure::{self, ExposureProblem};
+use crate::association::exposure;
+use crate::association::exposure_patches::ExposureProblem;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, RefinedView};
 use crate::association::pose::PoseRefiner;
-use crate::mesh::graph::Graph;
-use crate::rays::RayScene;
-use firmware_config::{EstimatorConfig, Switch};
+use firmware_config::Switch;
 use rayon::prelude::*;
-use recordings::types::{Keyframe, Mesh, Response};
+use recordings::types::Keyframe;
 
 /// Limits on the time that association takes.
 pub struct AssociationEffort<'a> {
@@ -26,30 +25,19 @@ pub struct AssociationEffort<'a> {
 }
 
 /// Data association (Eqs. 2–5) until it converges.
-pub fn associate(
-    mesh: &Mesh,
-    scene: &RayScene,
-    keyframes: &[Keyframe],
-    response: &Response,
-    config: &EstimatorConfig,
-    progress: &dyn Progress,
-) -> Association {
-    let effort = AssociationEffort { rounds: config.association_rounds, stride: 1, go_on: &mut |_| true };
-    associate_within(mesh, scene, keyframes, response, config, progress, effort)
+pub fn associate(context: &AssociationContext, keyframes: &[Keyframe], progress: &dyn Progress) -> Association {
+    let rounds = context.config.association_rounds;
+    associate_within(context, keyframes, progress, AssociationEffort { rounds, stride: 1, go_on: &mut |_| true })
 }
 
 /// Data association (Eqs. 2–5) within an effort.
 pub fn associate_within(
-    mesh: &Mesh,
-    scene: &RayScene,
+    context: &AssociationContext,
     keyframes: &[Keyframe],
-    response: &Response,
-    config: &EstimatorConfig,
     progress: &dyn Progress,
     effort: AssociationEffort,
 ) -> Association {
-    let graph = Graph::of(mesh);
-    let context = AssociationContext::new(mesh, &graph, scene, response, config);
+    let config = context.config;
     let images: Vec<Option<KeyframeImage>> = keyframes
         .par_iter()
         .enumerate()
@@ -62,7 +50,7 @@ pub fn associate_within(
     let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
     let rounds = if refine { effort.rounds } else { 1 };
     let problem = ExposureProblem {
-        mesh,
+        mesh: context.mesh,
         median_edge: context.median_edge,
         keyframes: keyframes.len(),
         dark_below: config.dark_below as f32,
@@ -76,16 +64,16 @@ pub fn associate_within(
         }
         let relaxed = f64::from(round) / f64::from(rounds);
         let rules = EligibilityRules::new(config, relaxed);
-        let field = LightField::gather(&context, &images, &views, &rules, None); // Eqs. (3), (4)
+        let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
         let (gains, _) = exposure::solve(&field, &problem, config.exposure); // Eq. (5)
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
         let lit = lit_colors(&field, &views); // Eq. (2)
-        if !refiner.step(&context, &images, &field, &lit, &mut views, round) {
+        if !refiner.step(context, &images, &field, &lit, &mut views, round) {
             break;
         }
     }
     let rules = EligibilityRules::new(config, 1.0);
-    let field = LightField::gather(&context, &images, &views, &rules, Some(rules.last_resort()));
+    let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
     let (gains, decision) = exposure::solve(&field, &problem, config.exposure);
     views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
     let lit = lit_colors(&field, &views);

@@ -15,7 +15,7 @@ pub struct AssociationContext<'a> {
     /// The mesh.
     pub mesh: &'a Mesh,
     /// Its adjacency.
-    pub graph: &'a Graph,
+    pub graph: Graph,
     /// Median edge length in the mesh's units.
     pub median_edge: f32,
     /// Mean edge length at every vertex, `[vertex]`.
@@ -35,19 +35,14 @@ pub struct AssociationContext<'a> {
 impl<'a> AssociationContext<'a> {
     /// Precomputes the derived values.
     #[must_use]
-    pub fn new(
-        mesh: &'a Mesh,
-        graph: &'a Graph,
-        scene: &RayScene,
-        response: &Response,
-        config: &'a EstimatorConfig,
-    ) -> Self {
+    pub fn new(mesh: &'a Mesh, scene: &RayScene, response: &Response, config: &'a EstimatorConfig) -> Self {
         let median_edge = scene.median_edge();
+        let graph = Graph::of(mesh);
         Self {
             mesh,
-            graph,
             median_edge,
-            spacing: vertex_spacing(mesh, graph, median_edge),
+            spacing: vertex_spacing(mesh, &graph, median_edge),
+            graph,
             triangle_normals: triangle_normals(mesh),
             near: f64::from(median_edge) * NEAR_EDGES,
             table: response.linear_table(),

@@ -4,45 +4,24 @@
 //! which of them are diffuse. Patches do: the vertices of a patch share their view dependence, and their noise averages out.
 //! Each patch measures the differences between its keyframes; the gains are those on which most of the patches agree.
 
+use crate::association::exposure_patches::{ExposureProblem, Patch, mean_square, patches};
 use crate::association::light_field::LightField;
-use crate::association::observations::Observation;
-use crate::mesh::cells::{CellVertex, by_cell, groups};
-use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use recordings::decision::{Decision, ExposureModel};
-use recordings::types::Mesh;
 
-/// Observations of less weight are not used.
-const MIN_WEIGHT: f32 = 1e-3;
 /// A tolerance that no deviation exceeds.
 const UNLIMITED: f64 = 1e12;
 /// Groups of patches of similar chromaticity.
 const COLOR_GROUPS: usize = 6;
-/// Rounds of the decomposition of a patch into vertex and keyframe terms; weights change after every second one.
-const PATCH_ROUNDS: usize = 6;
 /// Change of log gains below which the reweighting has converged.
 const CONVERGED_LOG: f64 = 1e-5;
 
 /// Log gains per keyframe and channel: `[keyframe][channel]`.
 type LogGains = Vec<[f64; 3]>;
-
-/// Inputs of the estimate.
-pub struct ExposureProblem<'a> {
-    /// The surface.
-    pub mesh: &'a Mesh,
-    /// Its median edge.
-    pub median_edge: f32,
-    /// Number of keyframes.
-    pub keyframes: usize,
-    /// Linear samples below this are not used.
-    pub dark_below: f32,
-    /// Thresholds.
-    pub tuning: &'a ExposureTuning,
-}
 
 /// Gains g_j, `[keyframe][channel]` (image = gain · radiance, geometric mean 1), and the evidence if the model was chosen here.
 pub fn solve(
@@ -89,143 +68,6 @@ pub fn solve(
         }
     };
     (logs.iter().map(|l| l.map(libm::exp)).collect(), decision)
-}
-
-/// Differences between the keyframes over a patch: log image values up to a constant.
-struct Patch {
-    /// Keyframes that see the patch.
-    keyframes: Vec<u16>,
-    /// `[keyframe of the patch][channel]`.
-    logs: Vec<[f64; 3]>,
-    /// `[keyframe of the patch]`, 0 to 1.
-    weights: Vec<f64>,
-    /// Mean log colour.
-    color: Vec3,
-    /// Main direction of the normal: 2 · axis + (negative).
-    facing: usize,
-}
-
-/// Surface patches: cubes of space, one per main direction of the normal.
-fn patches(field: &LightField, problem: &ExposureProblem) -> Vec<Patch> {
-    let size = problem.median_edge * problem.tuning.patch_edges as f32;
-    let vertices = by_cell(problem.mesh, size, |i| field.row(i).len() >= 2);
-    let groups: Vec<&[CellVertex]> = groups(&vertices).collect();
-    groups.par_iter().filter_map(|g| Patch::new(field, g, problem)).collect()
-}
-
-/// A usable observation; vertex and keyframe are numbered within the patch.
-struct Entry {
-    vertex: usize,
-    keyframe: usize,
-    log: [f64; 3],
-    weight: f64,
-}
-
-impl Patch {
-    fn new(field: &LightField, members: &[CellVertex], problem: &ExposureProblem) -> Option<Self> {
-        let usable = |o: &&Observation| o.weight > MIN_WEIGHT && o.color.iter().all(|&c| c > problem.dark_below);
-        let mut keyframes: Vec<u16> = Vec::new();
-        for m in members {
-            keyframes.extend(field.row(m.vertex).iter().filter(usable).map(|o| o.keyframe));
-        }
-        keyframes.sort_unstable();
-        keyframes.dedup();
-        if keyframes.len() < 2 {
-            return None;
-        }
-        let mut entries = Vec::new();
-        let mut color = Vec3::ZERO;
-        for (vertex, m) in members.iter().enumerate() {
-            for o in field.row(m.vertex).iter().filter(usable) {
-                let log = o.color.map(|c| libm::log(f64::from(c)));
-                let keyframe = keyframes.partition_point(|&k| k < o.keyframe);
-                color += Vec3::from_array(log.map(|l| l as f32));
-                entries.push(Entry { vertex, keyframe, log, weight: f64::from(o.weight) });
-            }
-        }
-        let color = color / entries.len() as f32;
-        let (logs, weights) = two_way(&entries, members.len(), keyframes.len());
-        let weights = weights.into_iter().map(|w| w / (w + problem.tuning.half_weight)).collect();
-        Some(Self { keyframes, logs, weights, color, facing: members[0].facing })
-    }
-
-    /// Log deviation of every keyframe of the patch from `gains`, about the patch's weighted median.
-    fn deviations(&self, gains: &[[f64; 3]]) -> Vec<[f64; 3]> {
-        let relative: Vec<[f64; 3]> = self
-            .keyframes
-            .iter()
-            .zip(&self.logs)
-            .map(|(&k, l)| std::array::from_fn(|c| l[c] - gains[k as usize][c]))
-            .collect();
-        let centre: [f64; 3] = std::array::from_fn(|c| {
-            let mut values: Vec<(f64, f64)> = relative.iter().zip(&self.weights).map(|(r, &w)| (r[c], w)).collect();
-            weighted_median(&mut values).unwrap_or(0.0)
-        });
-        relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
-    }
-
-    /// Weighted mean square of the deviations, and the patch's weight.
-    fn spread(&self, deviations: &[[f64; 3]]) -> (f64, f64) {
-        let total: f64 = self.weights.iter().sum();
-        let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
-        (sum / total.max(1e-12), total * (1.0 - 1.0 / self.keyframes.len() as f64))
-    }
-}
-
-fn mean_square(d: &[f64; 3]) -> f64 {
-    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
-}
-
-/// Decomposes the logs into vertex + keyframe terms by alternating weighted means with Huber weights. Returns the keyframe
-/// terms and their sums of weights.
-fn two_way(entries: &[Entry], vertices: usize, keyframes: usize) -> (Vec<[f64; 3]>, Vec<f64>) {
-    let mut by_keyframe = vec![[0.0; 3]; keyframes];
-    let mut weights = vec![0.0; keyframes];
-    let mut robust: Vec<f64> = entries.iter().map(|e| e.weight).collect();
-    let mut by_vertex = vec![[0.0; 3]; vertices];
-    for round in 0..PATCH_ROUNDS {
-        average(entries, &robust, &mut by_vertex, |e| e.vertex, |e| by_keyframe[e.keyframe]);
-        average(entries, &robust, &mut by_keyframe, |e| e.keyframe, |e| by_vertex[e.vertex]);
-        if round % 2 == 1 {
-            let residual = |e: &Entry| {
-                let (v, k) = (by_vertex[e.vertex], by_keyframe[e.keyframe]);
-                mean_square(&std::array::from_fn(|c| e.log[c] - v[c] - k[c])).sqrt()
-            };
-            let residuals: Vec<f64> = entries.iter().map(residual).collect();
-            let bound = 1.5 * SIGMA_PER_MAD * median(residuals.iter().copied()).unwrap_or(0.0).max(1e-4);
-            for ((w, e), r) in robust.iter_mut().zip(entries).zip(residuals) {
-                *w = e.weight * (bound / r.max(bound));
-            }
-        }
-    }
-    for (e, w) in entries.iter().zip(&robust) {
-        weights[e.keyframe] += w;
-    }
-    (by_keyframe, weights)
-}
-
-/// Weighted means of log − `other` over the entries of every index.
-fn average(
-    entries: &[Entry],
-    weights: &[f64],
-    into: &mut [[f64; 3]],
-    index: impl Fn(&Entry) -> usize,
-    other: impl Fn(&Entry) -> [f64; 3],
-) {
-    let mut sums = vec![([0.0; 3], 0.0); into.len()];
-    for (e, &w) in entries.iter().zip(weights) {
-        let o = other(e);
-        let sum = &mut sums[index(e)];
-        for ((s, log), o) in sum.0.iter_mut().zip(&e.log).zip(&o) {
-            *s += w * (log - o);
-        }
-        sum.1 += w;
-    }
-    for (to, (sum, weight)) in into.iter_mut().zip(sums) {
-        if weight > 0.0 {
-            *to = sum.map(|s| s / weight);
-        }
-    }
 }
 
 /// The estimate over patches with known number of keyframes and thresholds.
@@ -380,6 +222,8 @@ fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::observations::Observation;
+    use recordings::types::Mesh;
 
     /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe to
     /// keyframe, nearly the same over its whole area. The rest is matte and noisy.

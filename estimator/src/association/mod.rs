@@ -2,7 +2,7 @@
 //! robust lit colour per vertex, exposures and refined poses ([`alternation`] runs the steps in turn).
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`]; exposures, Eq. (5):
-//! [`exposure`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
+//! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response.
 
 pub mod alignment;
@@ -10,6 +10,7 @@ pub mod alternation;
 pub mod context;
 pub mod eligibility;
 pub mod exposure;
+pub mod exposure_patches;
 pub mod image_filters;
 pub mod keyframe_image;
 pub mod light_field;

@@ -1,6 +1,7 @@
 //! Exposures from matte surfaces only: gloss brightens an image as an exposure does.
 
-use crate::association::exposure::{self, ExposureProblem};
+use crate::association::exposure;
+use crate::association::exposure_patches::ExposureProblem;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, Observation};

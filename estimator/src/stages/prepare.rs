@@ -2,7 +2,7 @@
 
 use crate::api::EstimateError;
 use crate::association::response;
-use crate::association::{self, Association, AssociationEffort};
+use crate::association::{self, Association, AssociationContext, AssociationEffort};
 use crate::factorisation::Colors;
 use crate::mesh::regularise;
 use crate::rays::RayScene;
@@ -67,13 +67,13 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
         return Err(EstimateError::Unusable("the mesh has no triangle".into()));
     }
     plan.mesh_done(mesh.positions.len());
+    let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, config);
     let effort = AssociationEffort {
         rounds: plan.max_pose_rounds(),
         stride: plan.workload().keyframe_stride,
         go_on: &mut |round| plan.pose_round(round),
     };
-    let mut fields =
-        association::associate_within(&mesh, &scene, &scan.keyframes, &scan.sensor.response, config, progress, effort);
+    let mut fields = association::associate_within(&context, &scan.keyframes, progress, effort);
     plan.association_done();
     let mut decisions = std::mem::take(&mut fields.decisions);
     let (decision, mismatch) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);

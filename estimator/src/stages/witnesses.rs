@@ -1,7 +1,6 @@
 //! Prediction of the validation frames.
 
 use crate::association::AssociationContext;
-use crate::mesh::graph::Graph;
 use crate::specular::Reflection;
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
@@ -32,8 +31,7 @@ pub fn witnesses(
         segment: &prepared.segment,
         gloss,
     };
-    let graph = Graph::of(&prepared.mesh);
-    let context = AssociationContext::new(&prepared.mesh, &graph, &prepared.scene, &scan.sensor.response, run.config);
+    let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
     let mut compared = Vec::new();
     for (i, frame) in scan.witnesses.iter().enumerate() {
         if !run.plan.witness() {
