@@ -1,4 +1,4 @@
-//! Tests that the shipped files agree with the program's own constants.
+//! Tests that the shipped files agree with the constants of the program.
 
 use crate::config::Config;
 use crate::kinect_models::{Part, part_of};
@@ -9,14 +9,14 @@ fn shipped(name: &str) -> String {
     std::fs::read_to_string(format!("{FOLDER}/{name}")).unwrap()
 }
 
-/// Run with `LUMISCAN_BLESS=1` to write the file anew after a default has changed.
+/// Run with `LUMISCAN_BLESS=1` to rewrite the file after a change of a default.
 #[test]
 fn default_toml_holds_the_defaults() {
     let text = Config::default().to_commented_toml();
     if std::env::var_os("LUMISCAN_BLESS").is_some() {
         std::fs::write(format!("{FOLDER}/default.toml"), &text).unwrap();
     }
-    assert_eq!(shipped("default.toml"), text, "LUMISCAN_BLESS=1 cargo test -p firmware-config writes it anew");
+    assert_eq!(shipped("default.toml"), text, "LUMISCAN_BLESS=1 cargo test -p firmware-config rewrites it");
     assert_eq!(Config::from_toml(&shipped("default.toml")), Ok(Config::default()));
 }
 
@@ -50,7 +50,7 @@ fn the_unit_allows_what_the_memory_plan_says() {
     assert!(!unit.contains("DynamicUser"), "results would be locked away");
 }
 
-/// Where systemd is installed, its own judgement of the unit.
+/// systemd's own assessment of the unit, where systemd is installed.
 #[test]
 fn systemd_finds_the_unit_tight() {
     let unit = format!("{FOLDER}/lumiscan.service");

@@ -7,7 +7,7 @@ use crate::settings::{Value, section};
 pub enum ResponseChoice {
     /// IEC 61966-2-1.
     Srgb,
-    /// Proportional.
+    /// value = light.
     Linear,
     /// value = light^(1/gamma).
     Gamma(f64),
@@ -41,11 +41,11 @@ impl Value for ResponseChoice {
 section! {
     /// Sources, pairing, device folder.
     CaptureConfig = "capture" {
-        /// Largest time between the colour and depth frame of a pair.
+        /// Largest time between the colour frame and the depth frame of a pair.
         max_pair_gap_ms: f64 = 20.0, [0.1..=500.0], "ms", "";
-        /// Depth stamp + this = colour time of the same instant, for sources that do not say.
+        /// Depth time stamp + this = colour time stamp of the same instant, for sources that do not specify it.
         depth_to_color_offset_ms: f64 = 0.0, [-500.0..=500.0], "ms", "";
-        /// Colour response for sources that do not say.
+        /// Colour response for sources that do not specify it.
         response: ResponseChoice = ResponseChoice::Srgb, [()], "", "";
     } with crate::tuning::CaptureTuning
 }

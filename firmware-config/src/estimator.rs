@@ -3,15 +3,15 @@
 use crate::settings::{choices, section};
 
 choices! {
-    /// How much of light transport the transfer holds.
+    /// Level of light transport in the transfer.
     TransferChoice {
-        /// By evidence.
+        /// Chosen by evidence.
         Auto = "auto",
         /// Cosine only.
         Diffuse = "diffuse",
         /// Cosine × visibility.
         Shade = "shade",
-        /// Plus interreflections.
+        /// Cosine × visibility, plus interreflections.
         Gi = "gi",
     }
 }
@@ -21,19 +21,19 @@ choices! {
     ExposureChoice {
         /// By held-out error.
         Auto = "auto",
-        /// None: all gains are 1.
+        /// No model: all gains are 1.
         None = "none",
-        /// One gain a keyframe.
+        /// One gain per keyframe.
         Scalar = "scalar",
-        /// Three gains a keyframe.
+        /// Three gains per keyframe.
         Rgb = "rgb",
     }
 }
 
 choices! {
-    /// On, off, or by evidence.
+    /// On, off, or chosen by evidence.
     Switch {
-        /// By evidence.
+        /// Chosen by evidence.
         Auto = "auto",
         /// Always.
         On = "on",
@@ -43,23 +43,23 @@ choices! {
 }
 
 choices! {
-    /// Named points of the trade of speed against accuracy.
+    /// Named compromises between speed and accuracy.
     Quality {
-        /// A quick look.
+        /// Fast preview.
         Draft = "draft",
         /// What the scene requires.
         Standard = "standard",
-        /// Everything that still helps a little.
+        /// Also options with a small benefit.
         Best = "best",
     }
 }
 
 choices! {
-    /// How light and albedo are separated.
+    /// Method that separates light and albedo.
     SolverChoice {
         /// Non-negative radiance, robust segment albedos.
         Robust = "robust",
-        /// Eqs. (10)–(12) to the letter.
+        /// The additive update of the paper, Eqs. (10)–(12).
         Literal = "literal",
         /// One segment, constant albedo.
         Nonsegmented = "nonsegmented",
@@ -69,17 +69,17 @@ choices! {
 section! {
     /// Data association, segmentation, transfer, factorisation, specular.
     EstimatorConfig = "estimator" {
-        /// Cosine of the steepest view accepted at first.
+        /// Smallest accepted cosine between normal and view direction in the first round.
         view_cosine_first: f64 = 0.5, [0.0..=1.0], "", "c2, Eq. (3)";
-        /// Cosine of the steepest view accepted in the last round.
+        /// Smallest accepted cosine between normal and view direction in the last round.
         view_cosine_last: f64 = 0.17, [0.0..=1.0], "", "c2, Eq. (3)";
-        /// Neighbour hits farther than this many edges or footprints mark a geometric edge.
+        /// Neighbour hits farther apart than this many edge lengths or pixel footprints mark a geometric edge.
         edge_distance: f64 = 3.0, [0.5..=50.0], "edges", "c3, Eq. (4)";
-        /// Neighbour normals that differ by more mark a geometric edge.
+        /// Neighbour normals that differ by a larger angle mark a geometric edge.
         edge_angle_deg: f64 = 40.0, [1.0..=180.0], "deg", "c4, Eq. (4)";
-        /// Pixels with a channel of this 8-bit value or more are clipped.
+        /// A pixel counts as clipped if a channel has this 8-bit value or more.
         clipped_from: u32 = 250, [2..=256], "", "";
-        /// Linear samples below this tell no exposure.
+        /// Linear samples below this value are not used to estimate the exposure.
         dark_below: f64 = 0.004, [0.0..=0.5], "", "";
         /// Rounds of lit colour, exposure and pose.
         association_rounds: u32 = 6, [1..=50], "", "";
@@ -89,9 +89,9 @@ section! {
         refine_poses: Switch = Switch::Auto, [()], "", "";
         /// Mesh regularisation: target edge as a multiple of the median edge; 0 keeps the mesh as it is.
         regularise: f64 = 1.0, [0.0..=8.0], "median edges", "";
-        /// Components with a smaller share of the largest component's vertices are specks and go.
+        /// Connected components with fewer vertices than this share of the largest component are removed.
         speck_share: f64 = 0.001, [0.0..=1.0], "", "";
-        /// A fused mesh is regularised to at most about this many vertices: the estimator's memory and time grow with them.
+        /// Approximate upper bound of the number of vertices of a regularised fused mesh: memory and time of the estimator grow with it.
         max_vertices: u32 = 80000, [1000..=2000000], "vertices", "";
         /// Weight of colour in the segmentation distance.
         segment_color: f64 = 1.0, [0.0..=100.0], "", "w1, Eq. (6)";
@@ -99,29 +99,29 @@ section! {
         segment_concavity: f64 = 0.5, [0.0..=100.0], "", "w2, Eq. (6)";
         /// Weight of the shape diameter in the segmentation distance.
         segment_thickness: f64 = 0.25, [0.0..=100.0], "", "w3, Eq. (6)";
-        /// Neighbours that make a core point.
+        /// Smallest number of neighbours of a core point (DBSCAN).
         segment_min_points: u32 = 4, [1..=100], "", "minPts";
-        /// Regions whose border is weaker than this belong together.
+        /// Regions with a colour difference below this at their border are merged.
         segment_merge: f64 = 5.0, [0.0..=100.0], "CIELAB", "";
-        /// Segments with a smaller share of the vertices join their best neighbour.
+        /// Segments with a smaller share of the vertices are merged into their best neighbour.
         segment_min_share: f64 = 0.002, [0.0..=0.5], "", "";
         /// Transfer level.
         transfer: TransferChoice = TransferChoice::Auto, [()], "", "Eq. (8)";
-        /// Rays per vertex; 0 = by standard error.
+        /// Rays per vertex; 0 = chosen by the standard error.
         rays: u32 = 0, [0..=65536], "", "N";
-        /// Light bounces in gi transfer, the rest in proportion to them; 0 = until they no longer matter.
+        /// Number of light bounces in gi transfer; further bounces are extrapolated in proportion. 0 = until they are negligible.
         bounces: u32 = 0, [0..=64], "", "";
-        /// Share of blocked rays from which interreflection is modelled by default.
+        /// Share of blocked rays from which interreflection is modelled when `transfer` is `auto`.
         gi_from_blocked: f64 = 0.02, [0.0..=1.0], "", "";
-        /// SH bands (l_max + 1); 0 = by evidence.
+        /// SH bands (l_max + 1); 0 = chosen by evidence.
         bands: u32 = 0, [0..=9], "", "";
         /// Solver of the factorisation.
         solver: SolverChoice = SolverChoice::Robust, [()], "", "Eqs. (10)–(12)";
         /// Specular weights.
         specular: Switch = Switch::Auto, [()], "", "Eq. (13)";
-        /// Point of the trade that is taken where a setting leaves the choice.
+        /// Compromise between speed and accuracy, for every choice that the other settings leave open.
         quality: Quality = Quality::Standard, [()], "", "";
-        /// Seed of every random direction.
+        /// Seed of all random directions.
         seed: u32 = 1, [0..=4294967295], "", "";
     } with crate::tuning::EstimatorTuning
 }

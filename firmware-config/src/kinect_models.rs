@@ -15,7 +15,7 @@ pub enum Model {
 }
 
 impl Model {
-    /// Of a camera, by its product id and `bcdDevice` (0x010b means 1414, any other value the 1473 family).
+    /// The model of a camera, from its product id and `bcdDevice` (0x010b means 1414, any other value the 1473 family).
     #[must_use]
     pub fn of_camera(product: u16, device_release: u16) -> Option<Self> {
         match (product, device_release) {
@@ -26,7 +26,7 @@ impl Model {
         }
     }
 
-    /// As people call it.
+    /// Common name.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -49,7 +49,7 @@ impl Model {
     }
 }
 
-/// What a USB device of the maker is to us.
+/// Role of a USB device of the vendor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     /// Depth and colour.
@@ -58,11 +58,11 @@ pub enum Part {
     Motor,
     /// Microphones; LED, tilt and accelerometer of the other models.
     Audio,
-    /// A Kinect V2, which speaks another protocol.
+    /// A Kinect V2, which has another protocol.
     KinectV2,
 }
 
-/// What a device is, by vendor and product id. Hubs (045e:02c2, 0409:005a) are nothing to us.
+/// Role of a device, from its vendor and product id; `None` for others, such as hubs (045e:02c2, 0409:005a).
 #[must_use]
 pub fn part_of(vendor: u16, product: u16) -> Option<Part> {
     match (vendor, product) {
@@ -80,19 +80,19 @@ pub const VIDEO_ENDPOINT: u8 = 0x81;
 pub const DEPTH_ENDPOINT: u8 = 0x82;
 /// Bytes of a stream packet's header.
 pub const PACKET_HEADER: usize = 12;
-/// Ticks a second of the time stamps in the packet headers.
+/// Ticks per second of the time stamps in the packet headers.
 pub const CLOCK_HZ: u32 = 60_000_000;
-/// Largest isochronous packet, where the system does not say.
+/// Largest isochronous packet where the system does not report it, bytes.
 pub const MAX_ISO_PACKET: usize = 1920;
-/// Transfers in flight an endpoint.
+/// Transfers in flight per endpoint.
 pub const TRANSFERS: usize = 16;
-/// Packets a transfer (a multiple of 8): 16 × 16 packets of 125 µs are 32 ms of buffer.
+/// Packets per transfer (a multiple of 8): 16 × 16 packets of 125 µs buffer 32 ms.
 pub const PACKETS_PER_TRANSFER: usize = 16;
 
 /// One stream in one format: its packets and the registers that start it.
 #[derive(Debug, PartialEq, Eq)]
 pub struct StreamFormat {
-    /// As people call it.
+    /// Common name.
     pub name: &'static str,
     /// Endpoint address.
     pub endpoint: u8,
@@ -102,27 +102,27 @@ pub struct StreamFormat {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Bits of a pixel.
+    /// Bits per pixel.
     pub bits: u32,
-    /// Payload bytes of a packet that is not the frame's last.
+    /// Payload bytes of every packet but the last of a frame.
     pub payload: usize,
-    /// Frames a second.
+    /// Frames per second.
     pub fps: u32,
-    /// Registers to write, in this order, to start the stream; isochronous transfers are submitted before.
-    /// Each is stopped first: a killed session may have left it running in another mode.
+    /// Registers to write, in this order, to start the stream; isochronous transfers are submitted before. Each stream is
+    /// stopped first: a killed session may have left it running in another mode.
     pub start: &'static [(u16, u16)],
     /// Registers to write to stop it.
     pub stop: &'static [(u16, u16)],
 }
 
 impl StreamFormat {
-    /// Bytes of a frame.
+    /// Bytes per frame.
     #[must_use]
     pub const fn frame_bytes(&self) -> usize {
         (self.width * self.height * self.bits / 8) as usize
     }
 
-    /// Packets of a frame.
+    /// Packets per frame.
     #[must_use]
     pub const fn packets(&self) -> usize {
         self.frame_bytes().div_ceil(self.payload)
@@ -135,7 +135,7 @@ impl StreamFormat {
         if left < self.payload { left } else { self.payload }
     }
 
-    /// Ticks of the 60 MHz clock from frame to frame.
+    /// Ticks of the 60 MHz clock between two frames.
     #[must_use]
     pub const fn period_ticks(&self) -> u32 {
         CLOCK_HZ / self.fps
@@ -184,7 +184,7 @@ pub static BAYER_VGA: StreamFormat = StreamFormat {
     stop: &[(0x05, 0)],
 };
 
-/// Colour, 1280×1024 Bayer mosaic; asked for as 15, comes at about 10 a second.
+/// Colour, 1280×1024 Bayer mosaic; requested at 15 frames per second, delivered at about 10.
 pub static BAYER_SXGA: StreamFormat = StreamFormat {
     name: "colour 1280x1024",
     endpoint: VIDEO_ENDPOINT,

@@ -1,4 +1,21 @@
-//! What the box ships: every tunable constant with unit, range, default and paper symbol, in one place.
+//! The configuration that the appliance ships: every setting with unit, range, default and paper symbol; tables of Kinect
+//! models; the memory plan.
+//!
+//! Sections (`[fusion]`, `[estimator]`, …) hold the settings of a stage as a whole; [`tuning`] holds the thresholds of single
+//! steps. Both are read from TOML and from `section.key=value`:
+//!
+//! ```
+//! use firmware_config::Config;
+//!
+//! let mut config = Config::from_toml("[fusion]\nvoxel_size_m = 0.01").unwrap();
+//! config.set("estimator.transfer=shade").unwrap();
+//! config.set("depth_noise.floor_m=0.002").unwrap();
+//! assert_eq!(config.fusion.voxel_size_m, 0.01);
+//!
+//! // A value out of range names its range; an unknown key names the nearest one.
+//! assert!(config.set("fusion.voxel_size_m=7").unwrap_err().to_string().contains("0.001"));
+//! assert!(config.set("fusion.voxel_sise_m=0.01").unwrap_err().to_string().contains("voxel_size_m"));
+//! ```
 
 #[cfg(test)]
 mod appliance;

@@ -1,4 +1,4 @@
-//! The memory plan: what the capture process can come to hold, computed before it starts.
+//! The memory plan: upper bounds of the memory of the capture process, computed before it starts.
 
 use crate::config::Config;
 use crate::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_11};
@@ -6,22 +6,22 @@ use crate::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_11};
 /// One part of the plan.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Planned {
-    /// What it is.
+    /// Name of the part.
     pub name: &'static str,
-    /// Most bytes of it.
+    /// Upper bound of its memory, bytes.
     pub bytes: u64,
 }
 
-/// Bytes of a voxel block: 8³ voxels of 4 bytes, and its place in the tables.
+/// Bytes of a voxel block: 8³ voxels of 4 bytes, and its entries in the tables.
 const BLOCK: u64 = 512 * 4 + 64;
-/// Vertices a block gives on the average of a real surface (15 to 26 measured), and the bytes of one while the mesh is
-/// extracted: position, normal, two triangles, two marks of the search for specks.
+/// Vertices per block of a real surface (15 to 26 measured on average), and bytes per vertex during extraction: position,
+/// normal, two triangles, two entries of the search for connected components.
 const VERTICES_A_BLOCK: u64 = 32;
 const BYTES_A_VERTEX: u64 = 64;
-/// Program, libraries, stacks of the threads, heap that is not given back.
+/// Program, libraries, thread stacks, freed heap that stays with the process.
 const PROGRAM: u64 = 96 << 20;
 
-/// What the capture process can come to hold, part by part.
+/// Upper bounds of the memory of the capture process, part by part.
 #[must_use]
 pub fn memory_plan(config: &Config) -> Vec<Planned> {
     let color = if config.kinect.color_sxga { &BAYER_SXGA } else { &BAYER_VGA };

@@ -1,4 +1,4 @@
-//! The machinery behind the settings tables: one line a constant, with unit, range, default and paper symbol.
+//! Macros and traits of the settings tables: one line per setting, with unit, range, default and paper symbol.
 
 use std::fmt::Display;
 
@@ -43,7 +43,7 @@ pub struct SettingInfo {
     pub range: String,
     /// Symbol in the paper ("c1, Eq. (1)"), or empty.
     pub symbol: &'static str,
-    /// What it does.
+    /// Description.
     pub doc: &'static str,
     /// True for thresholds of a single stage: a scan stores them only where they differ from their default.
     pub tuning: bool,
