@@ -1,12 +1,12 @@
-//! Cost of fusion on a made-up 640 × 480 scan of a desk, stage by stage: CPU and wall time per frame, frames and voxels per
-//! second, peak memory, for the best instruction set of this machine and for the portable path, each in a process of its
-//! own. `cargo bench -p fusion`.
+//! Cost of the stages of fusion on a synthetic 640 × 480 scan of a desk: CPU and wall time per frame, frames and voxels per
+//! second, peak memory; for the best instruction set of the machine and for the portable one, each in its own process.
+//! `cargo bench -p fusion`.
 
 #![allow(clippy::unwrap_used)]
 
+#[path = "../tests/synthetic/mod.rs"]
+mod synthetic;
 mod usage;
-#[path = "../tests/world/mod.rs"]
-mod world;
 
 use firmware_config::FusionConfig;
 use fusion::Fusion;
@@ -16,7 +16,7 @@ use std::time::Instant;
 use usage::{cpu_ms, peak_mib};
 
 const FRAMES: usize = 60;
-/// Set in the processes that measure, which are told their instruction set by `LUMISCAN_ISA`.
+/// Set in the measuring processes; `LUMISCAN_ISA` sets their instruction set.
 const MEASURE: &str = "LUMISCAN_BENCH_STAGES";
 
 fn main() {
@@ -32,18 +32,18 @@ fn main() {
 
 fn measure() {
     let isa = std::env::var("LUMISCAN_ISA").unwrap_or_default();
-    let sensor = world::sensor(640, 480);
-    let desk = world::desk();
+    let sensor = synthetic::sensor(640, 480);
+    let desk = synthetic::desk();
     let frames: Vec<_> = (0..FRAMES)
         .map(|i| {
             let a = i as f64 * 0.02;
             let from = DVec3::new(1.1 * libm::sin(a), -1.1 * libm::cos(a), 0.7);
-            desk.look(&sensor, &world::look_at(from, DVec3::new(0.0, 0.0, 0.1)), i)
+            desk.look(&sensor, &synthetic::look_at(from, DVec3::new(0.0, 0.0, 0.1)), i)
         })
         .collect();
     tracing::subscriber::set_global_default(stages::Collector).unwrap();
     let before = peak_mib();
-    // Both pools live to the end: a thread that ended would take its CPU time out of the sum.
+    // Both pools live to the end: the CPU time of an ended thread would leave the sum.
     let pools = [1, 2].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap());
     for pool in &pools {
         let threads = pool.current_num_threads();
@@ -89,7 +89,7 @@ fn median(values: &mut [f64]) -> f64 {
     values[values.len() / 2]
 }
 
-/// Time per tracing span (the stages of `Fusion::push`), and the voxels that integration says it touched.
+/// Time per tracing span (the stages of `Fusion::push`), and the voxels that integration updates.
 mod stages {
     use std::cell::RefCell;
     use std::fmt::Debug;

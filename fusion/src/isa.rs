@@ -1,12 +1,16 @@
-//! The instruction set the hot loops are compiled for, chosen once at run time. The code is the same for each, sums are
-//! never reordered and products never fused, so the results are the same bits.
+//! Instruction sets of the hot loops, selected once at run time. The code is the same for each, sums are never reordered and
+//! products never fused, so the results are the same bits.
+//!
+//! This file has the only `unsafe` of the crate: the two calls in [`dispatch`]. A function with `#[target_feature]` must not
+//! run on a CPU without that feature; each call stands behind a run-time check of exactly the features it needs. Nothing
+//! else in the functions is unsafe.
 
 use std::sync::OnceLock;
 
-/// An instruction set that hot loops are compiled for.
+/// An instruction set of the hot loops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Isa {
-    /// What the target guarantees.
+    /// The baseline of the target.
     Portable,
     /// x86-64 with AVX2.
     Avx2,
@@ -15,7 +19,7 @@ pub enum Isa {
 }
 
 impl Isa {
-    /// The best one this machine has; `LUMISCAN_ISA=portable` (or `avx2`) asks for less.
+    /// The best one of this machine; `LUMISCAN_ISA=portable` or `avx2` selects a lesser one.
     pub fn detect() -> Self {
         static ISA: OnceLock<Isa> = OnceLock::new();
         *ISA.get_or_init(|| {
@@ -47,10 +51,10 @@ fn best(_wish: &str) -> Isa {
     Isa::Portable
 }
 
-/// A hot loop. `run` must be `#[inline(always)]`, so that it is compiled anew for each instruction set (a closure would
-/// stay a function of its own, compiled for none of them).
+/// A hot loop. `run` must be `#[inline(always)]`, so that it is compiled for each instruction set (a closure would stay a
+/// separate function, compiled for the baseline).
 pub trait Hot {
-    /// Does the work.
+    /// Runs the loop.
     fn run(self);
 }
 
@@ -69,10 +73,10 @@ pub fn dispatch(isa: Isa, hot: impl Hot) {
             hot.run();
         }
         match isa {
-            // SAFETY: a safe function whose only precondition is that the CPU has AVX2; `best` (the only source of
-            // this variant in use) detected it, and it is checked once more here.
+            // SAFETY: the only precondition of `avx2` is a CPU with AVX2, checked in the guard.
             Isa::Avx2 if is_x86_feature_detected!("avx2") => return unsafe { avx2(hot) },
-            // SAFETY: as above; AVX-512 F, VL, BW and DQ are checked here.
+            // SAFETY: the only precondition of `avx512` is a CPU with AVX2 (implied by AVX-512 F) and AVX-512 F, VL, BW and
+            // DQ, checked in the guard.
             Isa::Avx512
                 if is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512vl")

@@ -1,16 +1,16 @@
-//! What extraction holds beside the volume. A test of its own, since it reads the whole process's memory.
+//! Memory of the extraction beside the volume. A test binary of its own, since it reads the memory of the whole process.
 
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
-mod world;
+mod synthetic;
 
 use firmware_config::FusionConfig;
 use fusion::Fusion;
 use glam::DVec3;
-use world::{Shape, World, look_at};
+use synthetic::{Shape, SyntheticScene, look_at};
 
-/// Bytes per vertex that the memory plan counts on, and what the layers in work and the choice of keyframes may take.
+/// Bytes per vertex in the memory plan, and bytes for the current layers and the choice of keyframes.
 const BYTES_A_VERTEX: u64 = 64;
 const BESIDE: u64 = 6 << 20;
 
@@ -20,11 +20,11 @@ fn bytes(field: &str) -> u64 {
     line.trim().strip_suffix("kB").unwrap().trim().parse::<u64>().unwrap() * 1024
 }
 
-/// A room's mesh takes what the plan says while it is made: no second copy of it anywhere.
+/// Extraction of a room stays within the memory plan: it holds no second copy of the mesh.
 #[test]
 fn extraction_holds_the_mesh_once() {
-    let sensor = world::sensor(320, 240);
-    let room = World {
+    let sensor = synthetic::sensor(320, 240);
+    let room = SyntheticScene {
         shapes: vec![Shape::Room(DVec3::new(-1.5, -1.5, 0.0), DVec3::new(1.5, 1.5, 2.2))],
         mean: 120.0,
         contrast: 80.0,
@@ -45,13 +45,13 @@ fn extraction_holds_the_mesh_once() {
         );
     }
     let before = bytes("VmRSS:");
-    // Starts the count of the peak anew.
+    // Resets the peak.
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
     let mesh = fusion.finish().mesh;
     let grown = bytes("VmHWM:").saturating_sub(before);
     let vertices = mesh.positions.len() as u64;
     println!("{vertices} vertices, {} triangles: {grown} bytes at most", mesh.triangles.len());
-    assert!(vertices > 250_000, "too small a mesh to tell anything: {vertices}");
+    assert!(vertices > 250_000, "the mesh is too small for the test: {vertices}");
     let held = 24 * vertices + 12 * mesh.triangles.len() as u64;
     assert!(grown > held / 2, "the peak was not measured");
     assert!(grown < BYTES_A_VERTEX * vertices + BESIDE, "{} bytes a vertex", grown / vertices);

@@ -1,8 +1,8 @@
-//! Tracking, loss and recovery in a world whose truth is known.
+//! Tracking, loss and relocalisation in synthetic scenes with exact ground truth.
 
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-mod world;
+mod synthetic;
 
 use firmware_config::FusionConfig;
 use fusion::Fusion;
@@ -10,20 +10,20 @@ use fusion::FusionError;
 use fusion::Tracking;
 use glam::{DQuat, DVec3};
 use recordings::types::{Pose, RgbdFrame, Sensor};
-use world::{Shape, World, desk, error, look_at, moved};
+use synthetic::{Shape, SyntheticScene, desk, error, look_at, moved};
 
 fn small_config() -> FusionConfig {
     FusionConfig { pool_blocks: 16384, ..FusionConfig::default() }
 }
 
-/// Runs frames through fusion; the poses it reports, `None` where lost.
+/// Poses that fusion reports for the frames, `None` where lost.
 fn track(sensor: &Sensor, frames: &[RgbdFrame]) -> Vec<Option<Pose>> {
     let mut fusion = Fusion::new(sensor, &small_config()).unwrap();
     frames.iter().map(|f| fusion.push(f).unwrap().world_from_camera).collect()
 }
 
-fn worst_error(sensor: &Sensor, world: &World, truth: &[Pose]) -> (f64, f64) {
-    let frames: Vec<RgbdFrame> = truth.iter().enumerate().map(|(i, p)| world.look(sensor, p, i)).collect();
+fn worst_error(sensor: &Sensor, scene: &SyntheticScene, truth: &[Pose]) -> (f64, f64) {
+    let frames: Vec<RgbdFrame> = truth.iter().enumerate().map(|(i, p)| scene.look(sensor, p, i)).collect();
     let found = track(sensor, &frames);
     let first = found[0].unwrap();
     found.iter().zip(truth).fold((0.0, 0.0), |worst, (f, t)| {
@@ -33,8 +33,8 @@ fn worst_error(sensor: &Sensor, world: &World, truth: &[Pose]) -> (f64, f64) {
 }
 
 #[test]
-fn an_arc_over_a_desk_is_followed() {
-    let sensor = world::sensor(320, 240);
+fn an_arc_over_a_desk_is_tracked() {
+    let sensor = synthetic::sensor(320, 240);
     let truth: Vec<Pose> = (0..40)
         .map(|i| {
             let a = f64::from(i) * 0.02;
@@ -47,8 +47,8 @@ fn an_arc_over_a_desk_is_followed() {
 
 #[test]
 fn a_textured_plane_does_not_slide() {
-    let sensor = world::sensor(320, 240);
-    let plane = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
+    let sensor = synthetic::sensor(320, 240);
+    let plane = SyntheticScene { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
     let start = look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO);
     let truth: Vec<Pose> =
         (0..40).map(|i| moved(&start, DVec3::new(0.006 * f64::from(i), 0.0, 0.0), DVec3::ZERO)).collect();
@@ -58,21 +58,21 @@ fn a_textured_plane_does_not_slide() {
 
 #[test]
 fn a_plane_without_texture_stays_put() {
-    let sensor = world::sensor(320, 240);
-    let plane = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 0.0, cell_m: 0.03 };
+    let sensor = synthetic::sensor(320, 240);
+    let plane = SyntheticScene { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 0.0, cell_m: 0.03 };
     let truth = vec![look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO); 60];
     let (metres, degrees) = worst_error(&sensor, &plane, &truth);
     assert!(metres < 0.005 && degrees < 0.3, "{metres} m, {degrees}°");
 }
 
-/// Where the light goes out over a plane, nothing tells how far the camera goes along it: its height and tilt must be right
-/// all the same, it must not run away, and it is put right when the texture is back.
+/// Without texture, motion along a plane is unobserved: height and tilt must stay right, the pose must not drift far, and it
+/// must be corrected when the texture returns.
 #[test]
-fn over_a_bare_plane_the_camera_does_not_run_away_and_texture_puts_it_right() {
-    let sensor = world::sensor(320, 240);
-    let plane = |contrast| World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast, cell_m: 0.03 };
+fn over_a_bare_plane_the_pose_stays_near_and_texture_corrects_it() {
+    let sensor = synthetic::sensor(320, 240);
+    let plane = |contrast| SyntheticScene { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast, cell_m: 0.03 };
     let start = look_at(DVec3::new(0.0, -0.6, 0.8), DVec3::ZERO);
-    // Smoothly 24 cm to the side and half the way back.
+    // 24 cm to the side and half of the way back, smoothly.
     let side = |i: usize| 0.12 * (1.0 - libm::cos(0.075 * i as f64));
     let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
     let mut first = None;
@@ -87,7 +87,7 @@ fn over_a_bare_plane_the_camera_does_not_run_away_and_texture_puts_it_right() {
         let off = ours_in_truth.translation - pose.translation;
         let tilt = (ours_in_truth.rotation * pose.rotation.conjugate() * DVec3::Z).angle_between(DVec3::Z).to_degrees();
         assert!(off.z.abs() < 0.01 && tilt < 0.7, "frame {i}: {} m, {tilt}°", off.z);
-        assert!(off.length() < if bare { 0.3 } else { 0.2 }, "frame {i}: ran away by {off} m");
+        assert!(off.length() < if bare { 0.3 } else { 0.2 }, "frame {i}: drifted by {off} m");
         let (metres, degrees) = error((first, &start), (&found, &pose));
         assert!(i >= 10 || metres < 0.005, "frame {i}: {metres} m");
         right_again += usize::from(i >= 60 && metres < 0.01 && degrees < 0.5);
@@ -96,9 +96,9 @@ fn over_a_bare_plane_the_camera_does_not_run_away_and_texture_puts_it_right() {
 }
 
 #[test]
-fn a_fast_turn_is_followed() {
-    let sensor = world::sensor(320, 240);
-    let room = World {
+fn a_fast_rotation_is_tracked() {
+    let sensor = synthetic::sensor(320, 240);
+    let room = SyntheticScene {
         shapes: vec![
             Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
             Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
@@ -116,15 +116,16 @@ fn a_fast_turn_is_followed() {
     assert!(metres < 0.03 && degrees < 1.0, "{metres} m, {degrees}°");
 }
 
-/// Ten frames on the desk, `between`, then ten more where the first ended. Returns the states and blocks used.
+/// Ten frames of the desk, ten frames `between`, ten more frames of the desk from the same pose. Returns states, blocks in
+/// use and poses.
 fn interrupted(between: impl Fn(&Sensor, &Pose, usize) -> RgbdFrame) -> (Vec<Tracking>, Vec<u64>, Vec<Option<Pose>>) {
-    let sensor = world::sensor(320, 240);
-    let world = desk();
+    let sensor = synthetic::sensor(320, 240);
+    let scene = desk();
     let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
     let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
     let (mut states, mut blocks, mut poses) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..30 {
-        let frame = if (10..20).contains(&i) { between(&sensor, &at, i) } else { world.look(&sensor, &at, i) };
+        let frame = if (10..20).contains(&i) { between(&sensor, &at, i) } else { scene.look(&sensor, &at, i) };
         let report = fusion.push(&frame).unwrap();
         states.push(report.tracking);
         blocks.push(report.blocks_used);
@@ -150,23 +151,23 @@ fn assert_lost_and_found(states: &[Tracking], blocks: &[u64], poses: &[Option<Po
 
 #[test]
 fn black_frames_are_lost_and_the_camera_is_found_again() {
-    let (states, blocks, poses) = interrupted(|sensor, _, i| world::black(sensor, i));
+    let (states, blocks, poses) = interrupted(|sensor, _, i| synthetic::black(sensor, i));
     assert_lost_and_found(&states, &blocks, &poses);
 }
 
 #[test]
 fn a_covered_lens_is_lost_and_the_camera_is_found_again() {
-    // A hand before the projector and camera: no depth, a dim even picture.
+    // A hand covers projector and camera: no depth, a dim uniform image.
     let (states, blocks, poses) = interrupted(|sensor, _, i| {
         let n = (sensor.color.intrinsics.width * sensor.color.intrinsics.height) as usize;
-        world::frame(sensor, i, vec![0; n], vec![40; 3 * n])
+        synthetic::frame(sensor, i, vec![0; n], vec![40; 3 * n])
     });
     assert_lost_and_found(&states, &blocks, &poses);
 }
 
 #[test]
 fn a_view_of_something_else_is_lost_and_the_camera_is_found_again() {
-    let elsewhere = World {
+    let elsewhere = SyntheticScene {
         shapes: vec![Shape::Room(DVec3::new(-1.0, -3.0, -0.4), DVec3::new(2.5, 1.0, 2.0))],
         mean: 90.0,
         contrast: 70.0,
@@ -177,16 +178,16 @@ fn a_view_of_something_else_is_lost_and_the_camera_is_found_again() {
 }
 
 #[test]
-fn a_jump_is_noticed_and_made_good() {
-    let sensor = world::sensor(320, 240);
-    let world = desk();
+fn a_jump_is_detected_and_recovered() {
+    let sensor = synthetic::sensor(320, 240);
+    let scene = desk();
     let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
     let away = moved(&at, DVec3::new(0.28, 0.0, -0.1), DVec3::new(0.0, -20.0, 0.0));
     let truth: Vec<Pose> = (0..40).map(|i| if (15..25).contains(&i) { away } else { at }).collect();
     let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
     let mut found = Vec::new();
     for (i, p) in truth.iter().enumerate() {
-        found.push(fusion.push(&world.look(&sensor, p, i)).unwrap().world_from_camera);
+        found.push(fusion.push(&scene.look(&sensor, p, i)).unwrap().world_from_camera);
     }
     assert!(found[15..17].iter().any(Option::is_none), "the jump went unnoticed");
     assert!(found[25..35].iter().any(Option::is_some), "never found again");
@@ -203,7 +204,7 @@ fn a_jump_is_noticed_and_made_good() {
 
 #[test]
 fn the_world_is_upright() {
-    let sensor = world::sensor(320, 240);
+    let sensor = synthetic::sensor(320, 240);
     let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
     let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
     let up = at.rotation.conjugate() * DVec3::Z;
@@ -214,12 +215,12 @@ fn the_world_is_upright() {
 
 #[test]
 fn one_thread_or_two_give_the_same_bits() {
-    let sensor = world::sensor(320, 240);
-    let world = desk();
+    let sensor = synthetic::sensor(320, 240);
+    let scene = desk();
     let frames: Vec<RgbdFrame> = (0..12)
         .map(|i| {
             let from = DVec3::new(0.02 * f64::from(i), -1.1, 0.7);
-            world.look(&sensor, &look_at(from, DVec3::new(0.0, 0.0, 0.1)), i as usize)
+            scene.look(&sensor, &look_at(from, DVec3::new(0.0, 0.0, 0.1)), i as usize)
         })
         .collect();
     let run = |threads| {
@@ -239,18 +240,18 @@ fn one_thread_or_two_give_the_same_bits() {
 }
 
 #[test]
-fn no_picture_makes_it_panic() {
+fn no_image_causes_a_panic() {
     for (w, h) in [(1, 1), (2, 3), (7, 5), (64, 48), (161, 121), (330, 250)] {
-        let sensor = world::sensor(w, h);
+        let sensor = synthetic::sensor(w, h);
         let n = (w * h) as usize;
         let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
         for i in 0..6 {
             let value = [0u16, 65535, 1000, 40_000, 1500, 1][i];
             let depth = (0..n).map(|p| if p % 3 == i % 3 { value } else { value.wrapping_mul(p as u16) }).collect();
             let rgb = (0..3 * n).map(|p| (p * (i + 37)) as u8).collect();
-            fusion.push(&world::frame(&sensor, i, depth, rgb)).unwrap();
+            fusion.push(&synthetic::frame(&sensor, i, depth, rgb)).unwrap();
         }
-        let even = world::frame(&sensor, 9, vec![65535; n], vec![255; 3 * n]);
+        let even = synthetic::frame(&sensor, 9, vec![65535; n], vec![255; 3 * n]);
         fusion.push(&even).unwrap();
         let output = fusion.finish();
         assert!(output.mesh.positions.iter().all(|p| p.is_finite()));
@@ -259,8 +260,8 @@ fn no_picture_makes_it_panic() {
 }
 
 #[test]
-fn senseless_sensors_and_frames_are_refused() {
-    let good = world::sensor(64, 48);
+fn invalid_sensors_and_frames_are_refused() {
+    let good = synthetic::sensor(64, 48);
     let spoil = |f: fn(&mut Sensor)| {
         let mut s = good.clone();
         f(&mut s);
@@ -276,17 +277,17 @@ fn senseless_sensors_and_frames_are_refused() {
     spoil(|s| s.color_from_depth.translation.x = f64::NAN);
     spoil(|s| s.color_from_depth.rotation = DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0));
     let mut fusion = Fusion::new(&good, &small_config()).unwrap();
-    let mut wrong = world::black(&good, 0);
+    let mut wrong = synthetic::black(&good, 0);
     wrong.depth.depth.pop();
     assert!(matches!(fusion.push(&wrong), Err(FusionError::BadFrame(_))));
-    let other = world::black(&world::sensor(32, 48), 0);
+    let other = synthetic::black(&synthetic::sensor(32, 48), 0);
     assert!(matches!(fusion.push(&other), Err(FusionError::BadFrame(_))));
 }
 
-/// A thing that shows up for two frames gives no surface; with `min_weight` 0 it would.
+/// An object visible in two frames gives no surface; with `min_weight` 0 it would.
 #[test]
 fn min_weight_drops_phantoms() {
-    let sensor = world::sensor(320, 240);
+    let sensor = synthetic::sensor(320, 240);
     let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
     let phantom = (DVec3::new(-0.05, -0.3, 0.4), 0.06);
     let mut haunted = desk();
@@ -296,8 +297,8 @@ fn min_weight_drops_phantoms() {
         let mut fusion = Fusion::new(&sensor, &config).unwrap();
         let first = fusion.push(&desk().look(&sensor, &at, 0)).unwrap().world_from_camera.unwrap();
         for i in 1..20 {
-            let world = if i >= 18 { &haunted } else { &desk() };
-            assert_eq!(fusion.push(&world.look(&sensor, &at, i)).unwrap().tracking, Tracking::Tracked);
+            let scene = if i >= 18 { &haunted } else { &desk() };
+            assert_eq!(fusion.push(&scene.look(&sensor, &at, i)).unwrap().tracking, Tracking::Tracked);
         }
         let ours_from_truth = first.compose(&at.inverse());
         let centre = ours_from_truth.transform(phantom.0);
@@ -309,11 +310,11 @@ fn min_weight_drops_phantoms() {
     assert_eq!(near_phantom(FusionConfig::default().min_weight), 0);
 }
 
-/// A sensor that reads too short, more so far away and outside: the polynomial of the configuration undoes it.
+/// A sensor whose readings are too short, more so at a distance and off the axis: the polynomial of the settings corrects them.
 #[test]
 fn a_known_depth_distortion_is_removed() {
-    let sensor = world::sensor(320, 240);
-    let wall = World { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
+    let sensor = synthetic::sensor(320, 240);
+    let wall = SyntheticScene { shapes: vec![Shape::Floor(0.0)], mean: 120.0, contrast: 90.0, cell_m: 0.03 };
     let at = look_at(DVec3::new(0.0, -0.4, 1.4), DVec3::ZERO);
     let known = FusionConfig {
         depth_linear: 0.01,
@@ -330,7 +331,7 @@ fn a_known_depth_distortion_is_removed() {
             let r2 = ((u - k.cx) / k.fx).powi(2) + ((v - k.cy) / k.fy).powi(2);
             let a = 1.0 + known.depth_linear + known.depth_linear_radial * r2;
             let b = known.depth_square + known.depth_square_radial * r2;
-            // The reading z that a z + b z² takes to the truth.
+            // The reading z for which a z + b z² is the true depth.
             let t = f64::from(*d) * 0.001;
             let z = 2.0 * t / (a + (a * a + 4.0 * b * t).sqrt());
             *d = (z * 1000.0).round() as u16;
@@ -354,12 +355,11 @@ fn a_known_depth_distortion_is_removed() {
     assert!(after.0 < 0.002 && after.1 < 0.004, "{before:?} {after:?}");
 }
 
-/// Once around a small thing on the floor, and a bit further: what the loop's end sees is where its start put it, and no
-/// surface stands beside another.
+/// More than once around a small object on the floor: the loop closes without a second sheet of surface.
 #[test]
 fn a_loop_around_a_small_object_closes() {
-    let sensor = world::sensor(320, 240);
-    let thing = World {
+    let sensor = synthetic::sensor(320, 240);
+    let object = SyntheticScene {
         shapes: vec![
             Shape::Floor(0.0),
             Shape::Box(DVec3::new(-0.09, -0.06, 0.0), DVec3::new(0.06, 0.05, 0.1)),
@@ -379,7 +379,7 @@ fn a_loop_around_a_small_object_closes() {
     let mut first = None;
     let (mut squares, mut worst): (f64, (f64, f64)) = (0.0, (0.0, 0.0));
     for i in 0..=130 {
-        let found = fusion.push(&thing.look(&sensor, &around(i), i)).unwrap().world_from_camera.expect("lost");
+        let found = fusion.push(&object.look(&sensor, &around(i), i)).unwrap().world_from_camera.expect("lost");
         let first: &Pose = first.get_or_insert(found);
         let e = error((first, &around(0)), (&found, &around(i)));
         squares += e.0 * e.0 / 131.0;
@@ -388,7 +388,7 @@ fn a_loop_around_a_small_object_closes() {
     let truth_from_ours = around(0).compose(&first.unwrap().inverse());
     let mesh = fusion.finish().mesh;
     let mut off: Vec<f64> =
-        mesh.positions.iter().map(|p| thing.distance(truth_from_ours.transform(p.as_dvec3()))).collect();
+        mesh.positions.iter().map(|p| object.distance(truth_from_ours.transform(p.as_dvec3()))).collect();
     off.sort_by(f64::total_cmp);
     let share = |q: f64| off[((off.len() - 1) as f64 * q) as usize];
     let (median, most) = (share(0.5), share(0.99));
@@ -397,12 +397,12 @@ fn a_loop_around_a_small_object_closes() {
     assert!(off.len() > 10_000 && median < 0.002 && most < 0.006, "{median} m, {most} m");
 }
 
-/// A thin plate above the floor, seen from one side: behind its far rim, where no ray went, there is no wall, and its
-/// middle is all there. Near and small, so voxels are fine; with voxels as asked for, coarser.
+/// A thin plate above the floor, seen from one side: no wall behind its far rim, where no ray passed, and no hole in it. With
+/// fine voxels, which a small near scene gets, and with voxels of the set size.
 #[test]
 fn a_thin_plate_has_no_skirt() {
-    let sensor = world::sensor(320, 240);
-    let plate = World {
+    let sensor = synthetic::sensor(320, 240);
+    let plate = SyntheticScene {
         shapes: vec![Shape::Floor(0.0), Shape::Box(DVec3::new(-0.12, -0.1, 0.06), DVec3::new(0.12, 0.1, 0.064))],
         mean: 120.0,
         contrast: 60.0,
@@ -434,11 +434,11 @@ fn a_thin_plate_has_no_skirt() {
     }
 }
 
-/// With dropped frames a hand-held turn on the spot reaches 8° from frame to frame.
+/// With dropped frames, a hand-held rotation in place reaches 8° between frames.
 #[test]
-fn a_violent_turn_on_the_spot_is_followed() {
-    let sensor = world::sensor(320, 240);
-    let room = world::room();
+fn a_very_fast_rotation_in_place_is_tracked() {
+    let sensor = synthetic::sensor(320, 240);
+    let room = synthetic::room();
     let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
     // Up to 8° a frame about a tilted axis, there and back.
     let truth: Vec<Pose> = (0..40)
@@ -451,26 +451,26 @@ fn a_violent_turn_on_the_spot_is_followed() {
     assert!(metres < 0.05 && degrees < 1.5, "{metres} m, {degrees}°");
 }
 
-/// Where the camera is at frame `t` of a turn on the spot, back and forth, at up to 150° a second.
-fn turning(t: f64) -> Pose {
+/// Pose at `t` frame times of a rotation in place, back and forth, at up to 150° per second.
+fn rotating(t: f64) -> Pose {
     let start = look_at(DVec3::new(0.1, -0.8, 1.2), DVec3::new(0.0, 1.0, 1.0));
     let a = 40.0 * (1.0 - libm::cos(0.12 * t));
     moved(&start, DVec3::new(0.001 * a, 0.0, 0.0), DVec3::new(0.2 * a, a, 0.1 * a))
 }
 
-/// The turn, colour smeared over ten pixels.
+/// The rotation, with motion blur of ten pixels.
 #[test]
-fn a_fast_turn_is_followed_through_motion_blur() {
-    let sensor = world::sensor(240, 180);
-    let room = world::room();
-    let (rms, _) = moving_error(&sensor, &room, &turning, 64, 4, 0.0);
+fn a_fast_rotation_is_tracked_with_motion_blur() {
+    let sensor = synthetic::sensor(240, 180);
+    let room = synthetic::room();
+    let (rms, _) = moving_error(&sensor, &room, &rotating, 64, 4, 0.0);
     assert!(rms < 0.02, "{rms} m");
 }
 
-/// RMS error of the positions along a path, metres, and the largest; see `World::look_during`.
+/// RMS and largest error of the positions along a path, metres; see `SyntheticScene::look_during`.
 fn moving_error(
     sensor: &Sensor,
-    world: &World,
+    scene: &SyntheticScene,
     pose: &dyn Fn(f64) -> Pose,
     frames: usize,
     samples: usize,
@@ -480,7 +480,7 @@ fn moving_error(
     let mut first = None;
     let mut squares = Vec::new();
     for i in 0..frames {
-        let frame = world.look_during(sensor, pose, i, samples, readout);
+        let frame = scene.look_during(sensor, pose, i, samples, readout);
         let found = fusion.push(&frame).unwrap().world_from_camera.expect("lost");
         let first: &Pose = first.get_or_insert(found);
         squares.push(error((first, &pose(0.0)), (&found, &pose(i as f64))).0.powi(2));
@@ -489,28 +489,28 @@ fn moving_error(
     (rms, squares.iter().copied().fold(0.0, f64::max).sqrt())
 }
 
-/// Rows read one after another shear what turns at up to 140° a second: how long that takes is learnt from the scan's first
-/// frames, and undone (without that, 4 and 8 cm).
+/// A rolling shutter shears a rotation of up to 140° per second: the read-out time is estimated from the first frames and
+/// compensated (4 and 8 cm without).
 #[test]
-fn a_rolling_shutter_is_undone() {
-    let sensor = world::sensor(240, 180);
-    let room = world::room();
+fn a_rolling_shutter_is_compensated() {
+    let sensor = synthetic::sensor(240, 180);
+    let room = synthetic::room();
     for (readout, most) in [(0.5, 0.01), (0.9, 0.02)] {
-        let (rms, worst) = moving_error(&sensor, &room, &turning, 80, 1, readout);
+        let (rms, worst) = moving_error(&sensor, &room, &rotating, 80, 1, readout);
         println!("{readout} of the frame time: {rms:.4} m, at worst {worst:.4}");
         assert!(rms < most, "{readout}: {rms} m");
     }
 }
 
-/// Once around on the spot at up to 130° a second, out of sight of all that was seen before, with blur and rolling shutter,
-/// also with every second frame left out.
+/// A full rotation in place at up to 130° per second, with motion blur and rolling shutter, also with every second frame left
+/// out.
 #[test]
-fn a_whole_fast_turn_comes_back_to_where_it_began() {
-    let sensor = world::sensor(240, 180);
-    let room = world::room();
+fn a_fast_full_rotation_returns_to_its_start() {
+    let sensor = synthetic::sensor(240, 180);
+    let room = synthetic::room();
     for (step, most) in [(1.0, 0.03), (2.0, 0.05)] {
         let pose = |t: f64| {
-            // There in 3 s and a second of standing still, nearly.
+            // Three seconds of rotation, then almost one second at rest.
             let s = (t * step / 100.0).min(1.0);
             let a = s - libm::sin(std::f64::consts::TAU * s) / std::f64::consts::TAU * 0.3;
             let yaw = std::f64::consts::TAU * a;
@@ -524,12 +524,11 @@ fn a_whole_fast_turn_comes_back_to_where_it_began() {
     }
 }
 
-/// A ball on a floor has the same shape from all sides: a camera that stands elsewhere from one frame to the next must not
-/// be taken to be where it was.
+/// A ball on a floor has the same shape from all sides: a jump around it must not pass as no motion.
 #[test]
-fn a_jump_around_a_round_thing_is_noticed() {
-    let sensor = world::sensor(320, 240);
-    let round = World {
+fn a_jump_around_a_round_object_is_detected() {
+    let sensor = synthetic::sensor(320, 240);
+    let round = SyntheticScene {
         shapes: vec![Shape::Floor(0.0), Shape::Ball(DVec3::new(0.0, 0.0, 0.1), 0.12)],
         mean: 120.0,
         contrast: 90.0,
@@ -550,10 +549,10 @@ fn a_jump_around_a_round_thing_is_noticed() {
     }
 }
 
-/// Frames that never came, half a second of them, while the camera goes around something: the motion is carried on.
+/// Half a second of missing frames while the camera circles the scene: the motion is extrapolated.
 #[test]
 fn a_gap_in_the_recording_is_bridged() {
-    let sensor = world::sensor(320, 240);
+    let sensor = synthetic::sensor(320, 240);
     let around = |i: usize| {
         let a = 0.03 * i as f64;
         look_at(DVec3::new(1.1 * libm::sin(a), -1.1 * libm::cos(a), 0.7), DVec3::new(0.0, 0.0, 0.1))
@@ -570,8 +569,8 @@ fn a_gap_in_the_recording_is_bridged() {
 
 #[test]
 fn a_room_fits_a_small_pool_by_coarsening() {
-    let sensor = world::sensor(160, 120);
-    let room = World {
+    let sensor = synthetic::sensor(160, 120);
+    let room = SyntheticScene {
         shapes: vec![
             Shape::Room(DVec3::new(-2.5, -2.0, 0.0), DVec3::new(2.5, 2.0, 2.5)),
             Shape::Box(DVec3::new(0.5, 0.6, 0.0), DVec3::new(1.5, 1.4, 0.8)),
@@ -605,7 +604,7 @@ fn a_room_fits_a_small_pool_by_coarsening() {
 
 #[test]
 fn a_camera_that_hardly_moves_gives_one_keyframe() {
-    let sensor = world::sensor(320, 240);
+    let sensor = synthetic::sensor(320, 240);
     let at = look_at(DVec3::new(0.2, -1.1, 0.7), DVec3::new(0.0, 0.0, 0.1));
     let mut fusion = Fusion::new(&sensor, &small_config()).unwrap();
     for i in 0..20 {

@@ -1,6 +1,6 @@
-//! What this process has used so far, for benches and examples.
+//! CPU time and peak memory of this process, for benches and examples.
 
-/// CPU time of this process's threads so far, in milliseconds (Linux; 0 elsewhere).
+/// CPU time of the running threads of this process, milliseconds (Linux; 0 elsewhere).
 pub fn cpu_ms() -> f64 {
     let Ok(tasks) = std::fs::read_dir("/proc/self/task") else { return 0.0 };
     tasks

@@ -1,4 +1,4 @@
-//! A small analytic world and a Kinect that looks at it, so that tests know the truth exactly.
+//! Analytic scenes and a simulated Kinect, with exact ground truth.
 
 #![allow(dead_code)]
 
@@ -8,29 +8,29 @@ use recordings::types::{
     Sensor,
 };
 
-/// One surface of the world.
+/// A surface of a scene.
 pub enum Shape {
     /// The inside of an axis-aligned box: walls, floor, ceiling.
     Room(DVec3, DVec3),
     /// An axis-aligned box.
     Box(DVec3, DVec3),
-    /// A ball.
+    /// A sphere.
     Ball(DVec3, f64),
     /// The half space below z.
     Floor(f64),
 }
 
-/// Surfaces with one texture, grey 0 … 255: `mean` ± `contrast` of smooth noise with cells of `cell_m`.
-pub struct World {
+/// Surfaces with one texture, grey 0 … 255: smooth noise of `mean` ± `contrast` with cells of `cell_m` metres.
+pub struct SyntheticScene {
     pub shapes: Vec<Shape>,
     pub mean: f64,
     pub contrast: f64,
     pub cell_m: f64,
 }
 
-/// A desk-like world: a floor with two boxes and a ball, textured.
-pub fn desk() -> World {
-    World {
+/// A textured desk: a floor with two boxes and a ball.
+pub fn desk() -> SyntheticScene {
+    SyntheticScene {
         shapes: vec![
             Shape::Floor(0.0),
             Shape::Box(DVec3::new(-0.4, -0.1, 0.0), DVec3::new(-0.1, 0.2, 0.25)),
@@ -43,9 +43,9 @@ pub fn desk() -> World {
     }
 }
 
-/// A room with two pieces of furniture, textured.
-pub fn room() -> World {
-    World {
+/// A textured room with two boxes.
+pub fn room() -> SyntheticScene {
+    SyntheticScene {
         shapes: vec![
             Shape::Room(DVec3::new(-2.0, -1.5, 0.0), DVec3::new(2.0, 1.5, 2.5)),
             Shape::Box(DVec3::new(-0.4, 0.9, 0.0), DVec3::new(0.5, 1.5, 0.9)),
@@ -70,7 +70,7 @@ fn hash(v: IVec3) -> f64 {
     f64::from(h ^ (h >> 15)) / f64::from(u32::MAX)
 }
 
-impl World {
+impl SyntheticScene {
     /// Distance along the ray in units of `d`.
     fn hit(&self, o: DVec3, d: DVec3) -> Option<f64> {
         let hits = self.shapes.iter().filter_map(|s| match *s {
@@ -111,13 +111,13 @@ impl World {
         (self.mean + self.contrast * (2.0 * n - 1.0)).clamp(0.0, 255.0)
     }
 
-    /// What the sensor sees from a pose, with the Kinect's depth noise, as frame number `index` of 30 a second.
+    /// The frame from a pose, with the Kinect's depth noise; `index` is its number at 30 frames per second.
     pub fn look(&self, sensor: &Sensor, pose: &Pose, index: usize) -> RgbdFrame {
         self.look_during(sensor, &|_| *pose, index, 1, 0.0)
     }
 
-    /// The same from a moving camera: `pose` after so many frames, colour the mean of `samples` instants while the shutter
-    /// is open; from the first row to the last of both images it takes `readout` frames, the middle row at the stamp.
+    /// The frame of a moving camera, `pose(t)` at `t` frame times. Colour is the mean of `samples` instants while the shutter
+    /// is open; read-out of both images takes `readout` frame times, with the middle row at the time stamp.
     pub fn look_during(
         &self,
         sensor: &Sensor,
@@ -126,7 +126,7 @@ impl World {
         samples: usize,
         readout: f64,
     ) -> RgbdFrame {
-        /// How long the shutter is open, in frames.
+        /// Exposure time, in frame times.
         const SHUTTER: f64 = 0.6;
         let k = sensor.color.intrinsics;
         let (mut depth, mut data) = (Vec::new(), Vec::new());
@@ -176,13 +176,13 @@ pub fn frame(sensor: &Sensor, index: usize, depth: Vec<u16>, rgb: Vec<u8>) -> Rg
     }
 }
 
-/// Nothing but black.
+/// A frame without depth and light.
 pub fn black(sensor: &Sensor, index: usize) -> RgbdFrame {
     let n = (sensor.color.intrinsics.width * sensor.color.intrinsics.height) as usize;
     frame(sensor, index, vec![0; n], vec![0; 3 * n])
 }
 
-/// A Kinect at a quarter of the resolution.
+/// A registered sensor with the field of view of a Kinect.
 pub fn sensor(width: u32, height: u32) -> Sensor {
     let f = 0.82 * f64::from(width);
     let intrinsics =
@@ -201,7 +201,7 @@ pub fn sensor(width: u32, height: u32) -> Sensor {
     }
 }
 
-/// A camera at `from` that looks at `to`, upright.
+/// Pose of an upright camera at `from` that looks at `to`.
 pub fn look_at(from: DVec3, to: DVec3) -> Pose {
     let z = (to - from).normalize();
     let x = z.cross(DVec3::Z).normalize();
@@ -210,13 +210,12 @@ pub fn look_at(from: DVec3, to: DVec3) -> Pose {
     Pose::from_rows(&rows).unwrap()
 }
 
-/// A pose moved by `metres` along and turned by `degrees` about the camera's own axes.
+/// A pose translated by `metres` along and rotated by `degrees` about the axes of the camera.
 pub fn moved(pose: &Pose, metres: DVec3, degrees: DVec3) -> Pose {
     pose.compose(&Pose::new(DQuat::from_scaled_axis(degrees * std::f64::consts::PI / 180.0), metres))
 }
 
-/// Length in metres and angle in degrees between where the tracker says that the camera went since the first frame and
-/// where it went.
+/// Error of the estimated motion since the first frame, metres and degrees; each argument is (estimate, truth).
 pub fn error(first: (&Pose, &Pose), now: (&Pose, &Pose)) -> (f64, f64) {
     let (estimated, truth) = (first.0.inverse().compose(now.0), first.1.inverse().compose(now.1));
     let e = truth.inverse().compose(&estimated);
