@@ -84,7 +84,7 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
     let sensor = pairs.sensor(&config.capture);
     let bad_input =
         |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
-    let fusion = Fusion::new(&sensor, &config.fusion).map_err(bad_input)?;
+    let fusion = Fusion::new(&sensor, &config.fusion_of(&sensor.serial)).map_err(bad_input)?;
     let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
 
     let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);

@@ -7,6 +7,7 @@ use crate::fusion::FusionConfig;
 use crate::kinect::{CameraConfig, KinectConfig};
 use crate::reality::RealityConfig;
 use crate::settings::{ConfigError, SettingInfo};
+use crate::tuning::DepthNoiseTuning;
 use std::collections::BTreeMap;
 
 /// Every setting.
@@ -26,6 +27,8 @@ pub struct Config {
     pub camera: CameraConfig,
     /// Colour cameras by serial number.
     pub cameras: BTreeMap<String, CameraConfig>,
+    /// Depth noise by serial number.
+    pub depth_noises: BTreeMap<String, DepthNoiseTuning>,
     /// Mixed-reality rendering.
     pub reality: RealityConfig,
 }
@@ -42,24 +45,40 @@ impl Config {
             let toml::Value::Table(fields) = value else {
                 return Err(config.unknown(section));
             };
-            // The tables of single devices overlay what the section itself says.
+            // The tables of single devices overlay the values of the section.
             let (tables, values): (Vec<_>, Vec<_>) = fields.iter().partition(|(_, v)| v.is_table());
             for (field, value) in values {
                 config.set_value(section, field, value)?;
             }
             for (serial, table) in tables {
                 let toml::Value::Table(fields) = table else { continue };
-                if section != CameraConfig::SECTION {
-                    return Err(config.unknown(&format!("{section}.{serial}")));
-                }
-                let mut camera = config.camera.clone();
-                for (field, value) in fields {
-                    camera.set(field, value).unwrap_or_else(|| Err(config.unknown(&format!("{section}.{field}"))))?;
-                }
-                config.cameras.insert(serial.clone(), camera);
+                config.set_device(section, serial, fields)?;
             }
         }
         Ok(config)
+    }
+
+    /// Sets the values of one device, `[section.serial]`.
+    fn set_device(&mut self, section: &str, serial: &str, fields: &toml::Table) -> Result<(), ConfigError> {
+        let unknown = |field: &str| self.unknown(&format!("{section}.{field}"));
+        match section {
+            CameraConfig::SECTION => {
+                let mut camera = self.camera.clone();
+                for (field, value) in fields {
+                    camera.set(field, value).unwrap_or_else(|| Err(unknown(field)))?;
+                }
+                self.cameras.insert(serial.to_owned(), camera);
+            }
+            DepthNoiseTuning::SECTION => {
+                let mut noise = self.fusion.tuning.depth_noise.clone();
+                for (field, value) in fields {
+                    noise.set(field, value).unwrap_or_else(|| Err(unknown(field)))?;
+                }
+                self.depth_noises.insert(serial.to_owned(), noise);
+            }
+            _ => return Err(unknown(serial)),
+        }
+        Ok(())
     }
 
     /// Sets one value from `section.field=value` as given on the command line.
@@ -108,6 +127,16 @@ impl Config {
         self.cameras.get(serial).map_or((&self.camera, false), |c| (c, true))
     }
 
+    /// The settings of fusion for the sensor with this serial number: with its own depth noise, if it has one.
+    #[must_use]
+    pub fn fusion_of(&self, serial: &str) -> FusionConfig {
+        let mut fusion = self.fusion.clone();
+        if let Some(noise) = self.depth_noises.get(serial) {
+            fusion.tuning.depth_noise.clone_from(noise);
+        }
+        fusion
+    }
+
     /// Every setting, in order.
     #[must_use]
     pub fn settings(&self) -> Vec<SettingInfo> {
@@ -144,10 +173,12 @@ impl Config {
             }
             text.push_str(&format!("{field} = {}\n", s.value));
         }
-        for (serial, camera) in &self.cameras {
-            text.push_str(&format!("\n[camera.{}]\n", toml::Value::String(serial.clone())));
-            for s in camera.settings() {
-                text.push_str(&format!("{} = {}\n", s.key.trim_start_matches("camera."), s.value));
+        let cameras = self.cameras.iter().map(|(serial, c)| (CameraConfig::SECTION, serial, c.settings()));
+        let noises = self.depth_noises.iter().map(|(serial, n)| (DepthNoiseTuning::SECTION, serial, n.settings()));
+        for (section, serial, settings) in cameras.chain(noises) {
+            text.push_str(&format!("\n[{section}.{}]\n", toml::Value::String(serial.clone())));
+            for s in settings {
+                text.push_str(&format!("{} = {}\n", s.key.rsplit('.').next().unwrap_or_default(), s.value));
             }
         }
         text
@@ -211,6 +242,16 @@ mod tests {
         assert_eq!(Config::from_toml(&config.to_toml()), Ok(config));
         assert!(Config::from_toml("[camera.A003]\nfz = 1").unwrap_err().to_string().contains("camera.fz"));
         assert!(Config::from_toml("[fusion.A003]\nfz = 1").is_err());
+    }
+
+    #[test]
+    fn depth_noise_is_that_of_the_sensor() {
+        let config = Config::from_toml("[depth_noise]\nfloor_m = 0.002\n[depth_noise.A003]\nquadratic = 0.0").unwrap();
+        let noise = |serial: &str| config.fusion_of(serial).tuning.depth_noise;
+        assert_eq!((noise("A003").floor_m, noise("A003").quadratic), (0.002, 0.0));
+        assert_eq!(noise("B"), config.fusion.tuning.depth_noise);
+        assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
+        assert!(Config::from_toml("[depth_noise.A003]\nflor_m = 1").unwrap_err().to_string().contains("floor_m"));
     }
 
     #[test]

@@ -139,7 +139,7 @@ fn shuffled(all: &[usize], n: usize) -> Vec<usize> {
 fn run(dir: &Path, truth: Option<&Path>, config: &Config, play: &Play, out: Option<&Path>) -> Result<()> {
     let (sensor, pairs) = read_pairs(dir)?;
     let turns = play.turns(&pairs);
-    let mut fusion = Fusion::new(&sensor, &config.fusion)?;
+    let mut fusion = Fusion::new(&sensor, &config.fusion_of(&sensor.serial))?;
     stages::reset();
     let mut times = Vec::new();
     let mut lost = Vec::new();

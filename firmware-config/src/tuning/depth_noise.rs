@@ -3,9 +3,9 @@
 use crate::settings::section;
 
 section! {
-    /// Noise of the depth sensor, σ_z = floor_m + quadratic · (z − nearest_m)²; the default is the Kinect V1 (Nguyen, Izadi, Lovell 2012). Another sensor has its own values in its configuration.
+    /// Noise of the depth sensor, σ_z = floor_m + quadratic · (z − nearest_m)²; the default is the Kinect V1 (Nguyen, Izadi, Lovell 2012). A table `[depth_noise.SERIAL]` overrides these values for one sensor.
     DepthNoiseTuning = "depth_noise" {
-        /// Standard deviation at the distance of least noise. Source: Nguyen, Izadi, Lovell 2012.
+        /// Standard deviation at the distance of least noise; a table [depth_noise.SERIAL] overrides this section for one sensor. Source: Nguyen, Izadi, Lovell 2012.
         floor_m: f64 = 0.0012, [0.000001..=1.0], "m", "σ_z";
         /// Growth of the standard deviation with the squared distance. Source: Nguyen, Izadi, Lovell 2012.
         quadratic: f64 = 0.0019, [0.0..=1.0], "1/m", "σ_z";
