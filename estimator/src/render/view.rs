@@ -4,10 +4,10 @@ use crate::rays::RayScene;
 use crate::render::compose::Viewpoint;
 use crate::render::error::{RenderError, Result};
 use glam::{DMat3, DQuat, DVec3, Vec3};
+use recordings::import::transforms::{Frame, Transforms};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use recordings::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Mesh, Pose};
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// Which views are wanted.
@@ -29,7 +29,9 @@ pub enum ViewChoice {
 const ORBIT_FRAMES: usize = 72;
 /// Frames that one command renders at most.
 const MAX_FRAMES: usize = 10_000;
-/// Elevation of the orbit.
+/// Size in pixels of a camera from a file that gives none.
+const DEFAULT_SIZE: (f64, f64) = (640.0, 480.0);
+/// Elevation of the orbit in radian.
 const ORBIT_ELEVATION: f64 = 0.6;
 
 impl std::str::FromStr for ViewChoice {
@@ -167,44 +169,23 @@ fn orbit(estimate: &Estimate, frames: usize) -> Vec<View> {
         .collect()
 }
 
-/// Cameras of a `transforms.json`: OpenGL axes, camera-to-world.
+/// Cameras of a `transforms.json`, without their distortion.
 fn from_file(path: &Path) -> Result<Vec<View>> {
-    let wrong = |what: &str| RenderError::file(path, what);
-    let text = std::fs::read(path).map_err(|e| RenderError::file(path, e))?;
-    let json: Value = serde_json::from_slice(&text).map_err(|e| RenderError::file(path, format!("not JSON: {e}")))?;
-    let frames = json["frames"].as_array().filter(|f| !f.is_empty()).ok_or_else(|| wrong("no frames in it"))?;
-    if frames.len() > MAX_FRAMES {
-        return Err(wrong("more than 10000 frames"));
+    let transforms = Transforms::read(path)?;
+    if transforms.frames.len() > MAX_FRAMES {
+        return Err(RenderError::file(path, format!("more than {MAX_FRAMES} frames")));
     }
-    frames
-        .iter()
-        .map(|frame| {
-            let get = |name: &str| frame[name].as_f64().or_else(|| json[name].as_f64());
-            let (w, h) = (get("w").unwrap_or(640.0), get("h").unwrap_or(480.0));
-            let fx = get("fl_x")
-                .or_else(|| get("camera_angle_x").map(|a| w / 2.0 / libm::tan(a / 2.0)))
-                .ok_or_else(|| wrong("no fl_x and no camera_angle_x"))?;
-            let size_ok = (1.0..=8192.0).contains(&w) && (1.0..=8192.0).contains(&h);
-            if !(size_ok && fx > 0.0 && fx.is_finite()) {
-                return Err(wrong("size or focal length out of range"));
-            }
-            let rows: [[f64; 4]; 4] = serde_json::from_value(frame["transform_matrix"].clone())
-                .map_err(|_| wrong("a frame without a 4x4 transform_matrix"))?;
-            // OpenGL's camera looks along −z with y up; ours along +z with y down.
-            let rows = rows.map(|r| [r[0], -r[1], -r[2], r[3]]);
-            let pose = Pose::from_rows(&rows).ok_or_else(|| wrong("a transform_matrix that is no rigid transform"))?;
-            let intrinsics = Intrinsics {
-                width: w as u32,
-                height: h as u32,
-                fx,
-                fy: get("fl_y").filter(|f| *f > 0.0).unwrap_or(fx),
-                cx: get("cx").unwrap_or((w - 1.0) / 2.0),
-                cy: get("cy").unwrap_or((h - 1.0) / 2.0),
-            };
-            let camera = CameraModel { intrinsics, distortion: Distortion::default() };
-            Ok(View { viewpoint: Viewpoint { camera, world_from_camera: pose, gain: Vec3::ONE }, photo: None })
-        })
-        .collect()
+    let view = |frame: &Frame| -> std::result::Result<View, String> {
+        let (width, height) = transforms.size(frame).unwrap_or(DEFAULT_SIZE);
+        if !(1.0..=8192.0).contains(&width) || !(1.0..=8192.0).contains(&height) {
+            return Err(format!("{width}x{height} is out of range: 1 to 8192 pixels a side"));
+        }
+        let camera = transforms.camera(frame, width as u32, height as u32)?.undistorted();
+        let viewpoint = Viewpoint { camera, world_from_camera: frame.pose()?, gain: Vec3::ONE };
+        Ok(View { viewpoint, photo: None })
+    };
+    let views = transforms.frames.iter().map(view).collect::<std::result::Result<_, _>>();
+    views.map_err(|problem| RenderError::file(path, problem))
 }
 
 #[cfg(test)]

@@ -1,56 +1,16 @@
-//! Mesh + posed photos (`mesh.ply`, `transforms.json` in the NeRF convention) straight to a scan.
-//!
-//! NeRF's camera looks along −Z with +Y up (OpenGL); pixel centres stand at integer coordinates, so that the middle of
-//! a picture 640 pixels wide is `cx = 319.5`.
+//! Mesh and posed photos (`mesh.ply`, `transforms.json` in the NeRF convention) straight to a scan.
 
 use crate::codec::image::PictureHeader;
 use crate::error::{Error, Result};
-use crate::import::lists::read_text;
+use crate::import::transforms::{REMEDY, Transforms};
 use crate::import::tum::read_picture;
 use crate::ply::read::read_ply;
 use crate::scan::{CaptureStats, Scan, ScanSource};
-use crate::types::{CameraModel, ColorFrame, Distortion, Intrinsics, Keyframe, Pose, Response, Sensor};
-use serde::Deserialize;
+use crate::types::{ColorFrame, Keyframe, Pose, Response, Sensor};
 use std::path::{Path, PathBuf};
 
 /// Endings tried for a `file_path` that names no file.
 const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
-
-/// Intrinsics, for all frames or for one.
-#[derive(Debug, Clone, Copy, Default, Deserialize)]
-struct Lens {
-    w: Option<f64>,
-    h: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-}
-
-#[derive(Debug, Deserialize)]
-struct Frame {
-    file_path: String,
-    transform_matrix: Vec<Vec<f64>>,
-    time_s: Option<f64>,
-    #[serde(flatten)]
-    lens: Lens,
-}
-
-#[derive(Debug, Deserialize)]
-struct Transforms {
-    camera_model: Option<String>,
-    frames: Vec<Frame>,
-    #[serde(flatten)]
-    lens: Lens,
-}
 
 /// Reads `dir/transforms.json`, its pictures, and the mesh (`mesh`, by default `dir/mesh.ply`). Every frame becomes a
 /// keyframe, in the order and under the name of the file; there are no witnesses.
@@ -62,7 +22,7 @@ pub fn import_photos(dir: &Path, mesh: Option<&Path>) -> Result<Scan> {
         return Err(Error::invalid(dir, "no such folder", "give a folder with transforms.json and mesh.ply"));
     }
     let path = dir.join("transforms.json");
-    let invalid = |problem: String| Error::invalid(&path, problem, "see the NeRF convention of transforms.json");
+    let invalid = |problem: String| Error::invalid(&path, problem, REMEDY);
     if !path.is_file() {
         return Err(Error::invalid(
             dir,
@@ -70,12 +30,7 @@ pub fn import_photos(dir: &Path, mesh: Option<&Path>) -> Result<Scan> {
             "give a folder with transforms.json and mesh.ply",
         ));
     }
-    let transforms: Transforms = serde_json::from_str(&read_text(&path)?).map_err(|e| invalid(e.to_string()))?;
-    if let Some(model) = &transforms.camera_model
-        && model.to_ascii_lowercase().contains("fisheye")
-    {
-        return Err(invalid(format!("camera model {model} is not supported: undistort the pictures first")));
-    }
+    let transforms = Transforms::read(&path)?;
     let mesh = match mesh {
         Some(mesh) => mesh.to_path_buf(),
         None => dir.join("mesh.ply"),
@@ -90,9 +45,8 @@ pub fn import_photos(dir: &Path, mesh: Option<&Path>) -> Result<Scan> {
         let header = PictureHeader::read(&bytes)
             .map_err(|problem| Error::invalid(&picture, problem, "replace the picture, or remove its frame"))?;
         let (width, height) = (header.width, header.height);
-        let camera = camera(&transforms.lens, &frame.lens, width, height).map_err(in_frame)?;
-        let world_from_camera = pose(&frame.transform_matrix)
-            .ok_or_else(|| in_frame("transform_matrix is no rigid 4x4 camera-to-world transform".into()))?;
+        let camera = transforms.camera(frame, width, height).map_err(in_frame)?;
+        let world_from_camera = frame.pose().map_err(in_frame)?;
         let time_s = frame.time_s.unwrap_or(index as f64);
         if !time_s.is_finite() || time_s.abs() > 1e9 * 9.0 {
             return Err(in_frame(format!("time_s {time_s}")));
@@ -136,57 +90,6 @@ fn find_picture(dir: &Path, name: &str) -> Option<PathBuf> {
     let with_ending = |ending: &str| dir.join(format!("{name}.{ending}"));
     let mut candidates = std::iter::once(dir.join(name)).chain(ENDINGS.map(with_ending));
     candidates.find(|path| path.is_file())
-}
-
-/// The camera of a frame: its own values, else those for all frames, else what the picture's size and field of view
-/// say.
-fn camera(all: &Lens, own: &Lens, width: u32, height: u32) -> std::result::Result<CameraModel, String> {
-    let value = |of: fn(&Lens) -> Option<f64>| of(own).or(of(all));
-    for (given, actual, what) in [(value(|l| l.w), width, "wide"), (value(|l| l.h), height, "high")] {
-        if let Some(given) = given
-            && given != f64::from(actual)
-        {
-            return Err(format!("the picture is {actual} pixels {what}, the intrinsics are for {given}"));
-        }
-    }
-    let from_angle = |angle: f64, side: u32| 0.5 * f64::from(side) / libm::tan(0.5 * angle);
-    let fx = value(|l| l.fl_x).or(value(|l| l.camera_angle_x).map(|a| from_angle(a, width)));
-    let fx = fx.ok_or("neither fl_x nor camera_angle_x is given")?;
-    let fy = value(|l| l.fl_y).or(value(|l| l.camera_angle_y).map(|a| from_angle(a, height))).unwrap_or(fx);
-    let center = |side: u32| (f64::from(side) - 1.0) / 2.0;
-    let (cx, cy) = (value(|l| l.cx).unwrap_or(center(width)), value(|l| l.cy).unwrap_or(center(height)));
-    let coefficient = |of: fn(&Lens) -> Option<f64>| value(of).unwrap_or(0.0);
-    if coefficient(|l| l.k4) != 0.0 {
-        return Err("k4 is not supported: undistort the pictures first".into());
-    }
-    let camera = CameraModel {
-        intrinsics: Intrinsics { width, height, fx, fy, cx, cy },
-        distortion: Distortion {
-            k1: coefficient(|l| l.k1),
-            k2: coefficient(|l| l.k2),
-            p1: coefficient(|l| l.p1),
-            p2: coefficient(|l| l.p2),
-            k3: coefficient(|l| l.k3),
-        },
-    };
-    camera.problem().map_or(Ok(camera), |problem| Err(problem.into()))
-}
-
-/// A camera-to-world matrix with OpenGL camera axes as a pose with ours.
-fn pose(rows: &[Vec<f64>]) -> Option<Pose> {
-    let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
-    if !(3..=4).contains(&rows.len()) || rows.iter().any(|r| r.len() != 4) {
-        return None;
-    }
-    for (to, from) in m.iter_mut().zip(rows) {
-        // The camera's y and z axes are the matrix's second and third columns.
-        *to = [from[0], -from[1], -from[2], from[3]];
-    }
-    let last = rows.get(3).is_none_or(|r| r.iter().zip([0.0, 0.0, 0.0, 1.0]).all(|(a, b)| (a - b).abs() < 1e-6));
-    if rows.len() == 3 {
-        m[3] = [0.0, 0.0, 0.0, 1.0];
-    }
-    Pose::from_rows(&m).filter(|_| last)
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 use crate::codec::chunk::beside;
 use crate::codec::image::{PictureHeader, decode_depth_png, encode_depth_png, encode_png};
 use crate::error::{Error, Result};
-use crate::import::lists::{format_camera, format_seconds, read_camera, read_list};
+use crate::import::camera_file::{format_camera, read_camera};
+use crate::import::lists::{format_seconds, read_list};
 use crate::recording::{Event, RecordingKind, RecordingReader, RecordingWriter};
 use crate::types::{ColorEncoding, ColorFrame, DepthFrame, Sensor, TimestampNs};
 use std::collections::BTreeSet;
