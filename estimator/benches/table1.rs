@@ -33,6 +33,9 @@ const PAPER: [(usize, [f64; 6]); 5] = [
     (72_119, [0.212, 7.550, 112.603, 0.314, 15.993, 128.910]),
     (229_059, [0.656, 32.887, 470.782, 1.109, 48.341, 502.232]),
 ];
+/// What is measured: seconds, but for the last.
+const HEADS: [&str; 9] =
+    ["diffuse", "shade", "gi", "segmentation", "iteration", "total", "association", "all in", "peak MiB"];
 /// Keyframes of the all-in run.
 const KEYFRAMES: usize = 20;
 /// Rays per vertex, the default.
@@ -54,13 +57,12 @@ fn main() {
     scan.keyframes.truncate(KEYFRAMES);
     // Regularised as a fused mesh is.
     scan.source = ScanSource::Fusion;
+    // A Markdown table; what the paper does not give stays empty.
     let row = |head: &str, times: &[f64]| {
-        println!("{head:<22}{}", times.iter().map(|t| format!("{t:>13.3}")).collect::<String>());
+        let cell = |k| times.get(k).map_or_else(String::new, |t: &f64| format!("{t:.2}"));
+        println!("| {head} | {} |", (0..HEADS.len()).map(cell).collect::<Vec<_>>().join(" | "));
     };
-    println!(
-        "{:<22}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}{:>13}",
-        "vertices", "diffuse", "shade", "gi", "segmentation", "iteration", "total", "association", "all in", "peak MiB"
-    );
+    println!("| vertices | {} |\n|---|{}", HEADS.join(" | "), "---|".repeat(HEADS.len()));
     let mut all_in = Vec::new();
     for (size, paper) in PAPER {
         // A target far below the mesh's own edges, so that the number of vertices decides.
@@ -100,9 +102,9 @@ fn main() {
         let wall: Vec<f64> = times.iter().map(|t| t.x).chain([peak_mib()]).collect();
         let processor: Vec<f64> = times.iter().map(|t| t.y).collect();
         row(&format!("{}", mesh.positions.len()), &wall);
-        row("  processor", &processor);
-        row(&format!("  paper: {size}"), &paper);
+        row("processor", &processor);
+        row(&format!("paper, {size}"), &paper);
     }
     let (first, last) = (all_in[0], all_in[all_in.len() - 1]);
-    println!("growth of processor time, all in: n^{:.2}", libm::log(last.1 / first.1) / libm::log(last.0 / first.0));
+    println!("\nGrowth of processor time, all in: n^{:.2}.", libm::log(last.1 / first.1) / libm::log(last.0 / first.0));
 }
