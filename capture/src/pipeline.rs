@@ -1,6 +1,8 @@
 //! From a source to a scan file: one thread per stage, bounded queues between them.
 //!
-//!     read ──2──▶ decode ──2──▶ fuse (this thread) ──4──▶ disk
+//! ```text
+//! read ──2──▶ decode ──2──▶ fuse (this thread) ──4──▶ disk
+//! ```
 //!
 //! A full queue blocks the stage before it, so a replay never drops a frame and gives the same scan on any machine. With
 //! a live sensor, the oldest pair that waits for `decode` is dropped and counted.

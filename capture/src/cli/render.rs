@@ -26,6 +26,7 @@ Examples:
   lumiscan render result.lres --view keyframe:4 --over photo --remove box:0.1,0,0.001,0.3,0.2,0.1 -o out.png
   lumiscan render result.lres --view keyframe:0 --light panoramas/ -o frames/
   lumiscan render result.lres --view orbit:90 --insert other.lres#segment=4 -o turn.mp4")]
+#[allow(rustdoc::broken_intra_doc_links, reason = "brackets in the text of --help are no links")]
 pub struct Render {
     /// A result (.lres).
     pub result: PathBuf,

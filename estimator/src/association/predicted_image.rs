@@ -74,7 +74,7 @@ pub struct PredictedImage {
     pub camera: Intrinsics,
     /// Square roots of linear RGB; NaN where not known.
     pub color: Vec<Vec3>,
-    /// Smallest depth within [`OUTLINE_DEPTH_PX`] pixels; infinite far from the mesh.
+    /// Smallest depth within `OUTLINE_DEPTH_PX` pixels; infinite far from the mesh.
     pub depth: Vec<f32>,
 }
 

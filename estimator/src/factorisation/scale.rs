@@ -5,7 +5,7 @@ use crate::factorisation::solution::Solution;
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
 
-/// The rule of [`fix`], as it stands in the result.
+/// The rule of `fix`, as it stands in the result.
 #[must_use]
 pub fn rule(tuning: &FactorisationTuning) -> String {
     let (percent, albedo) = (100.0 * tuning.scale_min_share, tuning.scale_albedo);

@@ -108,7 +108,7 @@ pub fn eval_f32(direction: Vec3, values: &mut [f32]) {
     values.iter_mut().zip(wide).for_each(|(v, w)| *v = *w as f32);
 }
 
-/// Σ_k coefficients[k] Y_k(direction).
+/// `Σ_k coefficients[k] Y_k(direction)`.
 #[must_use]
 pub fn radiance(coefficients: &[[f64; 3]], direction: DVec3) -> [f64; 3] {
     let mut y = [0.0; MAX_COEFFICIENTS];

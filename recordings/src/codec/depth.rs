@@ -4,7 +4,7 @@
 //! neighbours mostly share one: depths become indices into a table of the values present, an index is predicted from
 //! its left (else upper) neighbour, and the difference is entropy coded (range asymmetric numeral systems, Duda 2013)
 //! with frequencies that depend on how the upper neighbours differ from the prediction. The image is cut into
-//! [`BANDS`] bands that are decoded in step: one band alone would wait for its own last pixel much of the time.
+//! `BANDS` bands that are decoded in step: one band alone would wait for its own last pixel much of the time.
 //!
 //! Layout: `mode u8`; mode 0: the depths, little-endian; mode 1: the value table, the frequency tables, then each
 //! band's escaped indices and coded 16-bit words.

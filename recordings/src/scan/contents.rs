@@ -79,7 +79,7 @@ pub struct Scan {
     pub stats: CaptureStats,
 }
 
-/// A frame handed to [`ScanWriter::add_frame`].
+/// A frame handed to `ScanWriter::add_frame`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct FrameId(pub u32);
 

@@ -1,4 +1,4 @@
-//! The scene of a result: mesh, materials and cameras, with the light of [`light`].
+//! The scene of a result: mesh, materials and cameras, with the light of `light.rs`.
 
 use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
