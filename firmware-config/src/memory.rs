@@ -26,7 +26,7 @@ const PROGRAM: u64 = 96 << 20;
 pub fn memory_plan(config: &Config) -> Vec<Planned> {
     let color = if config.kinect.color_sxga { &BAYER_SXGA } else { &BAYER_VGA };
     let pixels = u64::from(color.width) * u64::from(color.height);
-    // Depth in 16 bits, the mosaic, and the decoded picture.
+    // Depth in 16 bits, the mosaic, and the decoded image.
     let pair = u64::from(DEPTH_11.width * DEPTH_11.height) * 2 + pixels + 3 * pixels;
     let blocks = u64::from(config.fusion.pool_blocks);
     let plan = |name, bytes| Planned { name, bytes };
