@@ -32,7 +32,7 @@ def rows(folder):
     yield f"| **[{shown}/]({shown})** | {sentence(documented) if documented else ''} |"
     for path in entries:
         if path.suffix == ".rs" and path != head and not path.with_suffix("").is_dir() and path.stem != "tests":
-            yield f"| [{path.name}]({path.relative_to(ROOT)}) | {sentence(path)} |"
+            yield f"| {path.name} | {sentence(path)} |"
     for path in entries:
         if path.is_dir() and path.name != "tests" and any(path.rglob("*.rs")):
             yield from rows(path)
