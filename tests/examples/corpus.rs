@@ -5,7 +5,7 @@
 //! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
 //! `--small` makes the scenes that continuous integration uses.
 
-use estimator::{Options, Progress};
+use estimator::Options;
 use firmware_config::EstimatorConfig;
 use recordings::decision_text::Findings;
 use recordings::import::photos::import_photos;
@@ -20,11 +20,6 @@ use tests::corpus::report::{self, Row};
 use tests::corpus::{files, judge, produce};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
-
-struct Silent;
-impl Progress for Silent {
-    fn stage(&self, _: &'static str, _: f64) {}
-}
 
 struct Arguments {
     seeds: Vec<u64>,
@@ -133,7 +128,7 @@ fn photos(arguments: &Arguments, scene: &Path, result: &Path, threads: usize) ->
     let scan = import_photos(scene, None)?;
     let started = Instant::now();
     let options = Options { budget: Duration::from_secs_f64(arguments.budget_s), rounds: None };
-    let estimate = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &Silent)?;
+    let estimate = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &())?;
     finish(&estimate, scene, result, false, started.elapsed().as_secs_f64(), threads)
 }
 

@@ -65,12 +65,12 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let balls =
         spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
     panels.push(("Grey, silver, mirror in this light".into(), balls));
-    panels.extend(witness(scan, result)?);
+    panels.extend(validation_panels(scan, result)?);
     compose(&panels, &facts(scan, result), height)
 }
 
-/// The witness that is covered most (no step used it), its rendering and what the two differ by; none without witnesses.
-fn witness(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, String> {
+/// The validation frame (used by no step) with the largest coverage, its rendering, and their difference; empty without one.
+fn validation_panels(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, String> {
     let of = |w: &recordings::types::Keyframe| ResultKeyframe {
         name: w.name.clone(),
         timestamp_ns: 0,
@@ -84,7 +84,7 @@ fn witness(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, Strin
     let Some((_, frame)) = best.filter(|(c, _)| *c > 0.0) else {
         return Ok(Vec::new());
     };
-    let picture = frame.color.decode().map_err(|e| format!("witness {}: {e}", frame.name))?;
+    let picture = frame.color.decode().map_err(|e| format!("validation frame {}: {e}", frame.name))?;
     let from = of(frame);
     let view = KeyframeView::new(result, &from, PANEL);
     let photo = view.photo(&picture);
@@ -101,7 +101,7 @@ fn witness(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, Strin
         .map(|((p, pc), (r, rc))| (std::array::from_fn(|c| (p[c] - r[c]).abs() * DIFFERENCE), pc.min(*rc)));
     let difference = Panel { width: photo.width, height: photo.height, pixels: pixels.collect() };
     Ok(vec![
-        (format!("Witness {}, used by no step", frame.name), photo),
+        (format!("Validation frame {}", frame.name), photo),
         ("Its rendering".into(), rendering),
         (format!("Difference (x {DIFFERENCE})"), difference),
     ])
@@ -156,7 +156,7 @@ fn facts(scan: &Scan, result: &Estimate) -> Vec<String> {
     let _ = writeln!(text, "{} keyframes of {} frames", result.keyframes.len(), scan.stats.pairs);
     for w in &result.witnesses {
         let (lit, model) = (w.lit_psnr_db, w.model_psnr_db);
-        let _ = writeln!(text, "witness {}: lit {lit:.1} dB, model {model:.1} dB", w.name);
+        let _ = writeln!(text, "validation {}: lit {lit:.1} dB, model {model:.1} dB", w.name);
     }
     for d in &result.decisions {
         let d = d.text();

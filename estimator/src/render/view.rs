@@ -1,4 +1,4 @@
-//! Where pictures are taken from: keyframes, witnesses, an orbit, or cameras from a file.
+//! Viewpoints of pictures: keyframes, validation frames (`witness:N`), an orbit, or cameras from a file.
 
 use crate::rays::RayScene;
 use crate::render::compose::Viewpoint;
@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 pub enum ViewChoice {
     /// One keyframe by its number.
     Keyframe(usize),
-    /// One witness by its number.
-    Witness(usize),
+    /// One validation frame by its number.
+    Validation(usize),
     /// Every keyframe.
     All,
     /// A full turn around the scan in this many frames.
@@ -40,7 +40,7 @@ impl std::str::FromStr for ViewChoice {
         let number = |s: &str| s.parse::<usize>().map_err(|_| format!("`{s}` is not a number"));
         Ok(match text.split_once(':') {
             Some(("keyframe", n)) => Self::Keyframe(number(n)?),
-            Some(("witness", n)) => Self::Witness(number(n)?),
+            Some(("witness", n)) => Self::Validation(number(n)?),
             Some(("orbit", n)) => Self::Orbit(number(n)?.clamp(1, MAX_FRAMES)),
             None if text == "all" => Self::All,
             None if text == "orbit" => Self::Orbit(ORBIT_FRAMES),
@@ -62,7 +62,7 @@ pub struct View {
 /// The views of a choice.
 ///
 /// # Errors
-/// A keyframe or witness that is not there, a file that cannot be read.
+/// A keyframe or validation frame that does not exist, a file that cannot be read.
 pub fn views(
     choice: &ViewChoice,
     estimate: &Estimate,
@@ -87,10 +87,14 @@ pub fn views(
     let mut views = match choice {
         ViewChoice::Keyframe(n) => vec![keyframe(*n)?],
         ViewChoice::All => (0..estimate.keyframes.len()).map(keyframe).collect::<Result<_>>()?,
-        ViewChoice::Witness(n) => {
-            let scan = scan.ok_or_else(|| RenderError::Request("witness views need the scan: --scan FILE".into()))?;
+        ViewChoice::Validation(n) => {
+            let scan = scan
+                .ok_or_else(|| RenderError::Request("views of validation frames need the scan: --scan FILE".into()))?;
             let w = scan.witnesses.get(*n).ok_or_else(|| {
-                RenderError::Request(format!("there is no witness {n}: the scan has {}", scan.witnesses.len()))
+                RenderError::Request(format!(
+                    "there is no validation frame {n} (witness:{n}): the scan has {}",
+                    scan.witnesses.len()
+                ))
             })?;
             let viewpoint = Viewpoint { camera: w.camera, world_from_camera: w.world_from_camera, gain: Vec3::ONE };
             vec![View { viewpoint, photo: Some(w.color.clone()) }]
