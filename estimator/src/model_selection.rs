@@ -204,11 +204,11 @@ struct Trials<'a> {
 
 impl Trials<'_> {
     /// Tries bands from 3 upwards, then downwards. `tried` gets bands and held-out error of each level.
-    fn search(&self, least: usize, most: usize, tried: &mut Vec<(u32, f64)>) -> Search {
-        let mut best = self.level(UPWARD[0].clamp(least, most), None, tried);
+    fn search(&self, min_bands: usize, max_bands: usize, tried: &mut Vec<(u32, f64)>) -> Search {
+        let mut best = self.level(UPWARD[0].clamp(min_bands, max_bands), None, tried);
         let mut next: Option<(usize, SampleMean)> = None;
         let mut without = 0;
-        for n in UPWARD.into_iter().skip(1).chain([most]).filter(|n| *n <= most) {
+        for n in UPWARD.into_iter().skip(1).chain([max_bands]).filter(|n| *n <= max_bands) {
             let patient = without < self.tuning.model_selection.patience;
             if n <= best.bands || !patient || next.is_some_and(|(tried, _)| n <= tried) {
                 continue;
@@ -223,7 +223,7 @@ impl Trials<'_> {
         }
         if best.bands <= UPWARD[0] {
             let first = best.bands;
-            for n in DOWNWARD.into_iter().filter(|n| (least..first).contains(n)) {
+            for n in DOWNWARD.into_iter().filter(|n| (min_bands..first).contains(n)) {
                 let lower = self.level(n, None, tried);
                 let gain = best.gain_over(&lower);
                 if self.is_significant(&gain) {

@@ -339,7 +339,7 @@ fn list(values: &[f64], digits: usize) -> String {
 mod tests {
     use super::*;
     use crate::decision::TransferLevel;
-    use crate::testing::decisions;
+    use crate::testing::{cuts, decisions, warnings};
 
     fn line(d: &Decision) -> String {
         let DecisionText { name, choice, evidence, cost, next_level } = d.text();
@@ -393,30 +393,39 @@ mod tests {
 
     #[test]
     fn cuts_and_warnings_keep_their_wording() {
-        let planned = |what| Cut::Planned { what, speed: 0.5 };
-        let said = |text: &dyn fmt::Display| text.to_string();
-        let speed = "(planned for a machine 0.50 times as fast as the reference)";
-        for (what, words) in [
-            (
-                Reduction::Bounces { to: 2, from: None },
-                "bounces: 2 instead of as many as matter, the rest in proportion",
-            ),
-            (Reduction::Rays { to: 32, from: 128 }, "rays: 32 per vertex instead of 128"),
-            (Reduction::PoseRounds { to: 0, from: 4 }, "pose refinement: 0 rounds instead of 4"),
-            (Reduction::Specular, "specular: not looked for"),
-            (Reduction::Bands { to: 5, from: 9 }, "bands: at most 5 instead of 9"),
-            (Reduction::Keyframes { stride: 2, of: 30 }, "keyframes: every 2nd of 30"),
-            (Reduction::Vertices { to: 7000, from: 10_000 }, "vertices: about 7000 instead of 10000"),
-        ] {
-            assert_eq!(said(&planned(what)), format!("{words} {speed}"));
-        }
-        let late = Cut::LateRays { rays: 16, instead_of: 64 };
-        assert_eq!(said(&late), "rays: 16 per vertex, since 64 were not there in time");
-        assert_eq!(said(&Cut::AbandonedTransfer { rays: 8 }), "abandoned: transfer with 8 rays per vertex");
-        let mismatch = Warning::ResponseMismatch { stated: Response::Srgb, better: Response::Gamma(2.2) };
-        let words = "the colour response srgb does not fit the pictures; linear or gamma:2.2 does: set camera.response";
-        assert_eq!(said(&mismatch), words);
-        assert_eq!(said(&Warning::OneKeyframe), "one keyframe: exposure, pose and gloss cannot be told");
+        let planned = |what: &str| format!("{what} (planned for a machine 0.50 times as fast as the reference)");
+        let cuts: Vec<String> = cuts().iter().map(ToString::to_string).collect();
+        assert_eq!(
+            cuts,
+            [
+                planned("bounces: 2 instead of as many as matter, the rest in proportion"),
+                planned("rays: 32 per vertex instead of 128"),
+                planned("pose refinement: 0 rounds instead of 4"),
+                planned("specular: not looked for"),
+                planned("bands: at most 5 instead of 9"),
+                planned("keyframes: every 2nd of 30"),
+                planned("vertices: about 7000 instead of 10000"),
+                "old".into(),
+                "rays: 32 per vertex instead of 128".into(),
+                "rays: 16 per vertex, since 64 were not there in time".into(),
+                "specular: not looked for".into(),
+                "witnesses: 1 of 2 predicted".into(),
+                "abandoned: transfer with 8 rays per vertex".into(),
+            ]
+        );
+        let warnings: Vec<String> = warnings().iter().map(ToString::to_string).collect();
+        assert_eq!(
+            warnings,
+            [
+                "old",
+                "the colour response srgb does not fit the pictures; linear or gamma:2.2 does: set camera.response",
+                "light_not_distant: position explains 30 % of what light and albedo leave unexplained at equal normals, on \
+                 vertices left out; it changes the light by 9 %",
+                "one keyframe: exposure, pose and gloss cannot be told",
+                "light: 2 of the 3 directions of its first band are not told by these surfaces; the rest of the light \
+                 cannot be seen from here",
+            ]
+        );
     }
 
     #[test]

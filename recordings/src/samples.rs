@@ -20,7 +20,7 @@ fn write(dir: &Path) {
         writer.finish().unwrap();
     }
     scan().write(&dir.join("v1.lscan")).unwrap();
-    estimate_on(bumpy_mesh(6)).write(&dir.join("v1.lres")).unwrap();
+    estimate_on(bumpy_mesh(6)).write(&dir.join("v1-findings.lres")).unwrap();
 }
 
 /// Only for a new version, under new names: what is there must never change.
@@ -63,4 +63,13 @@ fn version_1_is_still_read() {
     for (a, b) in result.albedo.iter().zip(&expected.albedo) {
         assert!((a - b).length() < 0.002);
     }
+}
+
+/// The first file with decisions, cuts and warnings as figures: one of every kind.
+#[test]
+fn findings_are_still_read() {
+    let result = Estimate::read(&samples().join("v1-findings.lres")).unwrap();
+    let expected = estimate_on(bumpy_mesh(6));
+    assert_eq!(result.decisions, expected.decisions);
+    assert_eq!((result.cuts, result.warnings), (expected.cuts, expected.warnings));
 }

@@ -2,8 +2,8 @@
 
 use crate::codec::image::encode_depth_png;
 use crate::decision::{
-    BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, ResponseTest, TransferLevel,
-    TransferNext, Warning,
+    BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest,
+    TransferLevel, TransferNext, Warning,
 };
 use crate::recording::Event;
 use crate::result::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
@@ -178,6 +178,39 @@ pub(crate) fn decisions() -> Vec<Decision> {
     ]
 }
 
+/// Cuts of every kind.
+pub(crate) fn cuts() -> Vec<Cut> {
+    let reductions = [
+        Reduction::Bounces { to: 2, from: None },
+        Reduction::Rays { to: 32, from: 128 },
+        Reduction::PoseRounds { to: 0, from: 4 },
+        Reduction::Specular,
+        Reduction::Bands { to: 5, from: 9 },
+        Reduction::Keyframes { stride: 2, of: 30 },
+        Reduction::Vertices { to: 7000, from: 10_000 },
+    ];
+    let others = [
+        Cut::Text("old".into()),
+        Cut::FewerRays { rays: 32, instead_of: 128 },
+        Cut::LateRays { rays: 16, instead_of: 64 },
+        Cut::Specular,
+        Cut::Witnesses { predicted: 1, of: 2 },
+        Cut::AbandonedTransfer { rays: 8 },
+    ];
+    reductions.map(|what| Cut::Planned { what, speed: 0.5 }).into_iter().chain(others).collect()
+}
+
+/// Warnings of every kind.
+pub(crate) fn warnings() -> Vec<Warning> {
+    vec![
+        Warning::Text("old".into()),
+        Warning::ResponseMismatch { stated: Response::Srgb, better: Response::Gamma(2.2) },
+        Warning::LightNotDistant(PositionEvidence { explained: 0.3, change: 0.09 }),
+        Warning::OneKeyframe,
+        Warning::UnseenLight { directions: 2 },
+    ]
+}
+
 /// A result on a mesh, with two segments and noisy colours.
 pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
     let n = mesh.positions.len() as u32;
@@ -210,8 +243,8 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
         }],
         transfer: TransferLevel::Gi,
         decisions: decisions(),
-        cuts: vec![Cut::Witnesses { predicted: 1, of: 2 }],
-        warnings: vec![Warning::OneKeyframe],
+        cuts: cuts(),
+        warnings: warnings(),
         albedo_scale_rule: "mean 0.5".into(),
         witnesses: vec![WitnessError { name: "w".into(), lit_psnr_db: 30.0, model_psnr_db: 28.0, coverage: 0.8 }],
         mesh,

@@ -1,4 +1,4 @@
-//! The estimator's answer and its parts.
+//! What a result holds.
 
 use crate::decision::{Cut, Decision, TransferLevel, Warning};
 use crate::scan::contents::check_mesh;
@@ -13,18 +13,18 @@ const MAX_COEFFICIENTS: usize = 81;
 /// radiance towards the surface from direction ω is `Σ_k coefficients[k] Y_k(ω)`.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Light {
-    /// `bands²` rows of RGB coefficients.
+    /// Coefficients, linear RGB: `[k][channel]`, bands² rows.
     pub coefficients: Vec<[f64; 3]>,
-    /// Posterior standard deviation of each coefficient, same shape.
+    /// Posterior standard deviation of the coefficients, same shape.
     pub standard_deviation: Vec<[f64; 3]>,
-    /// The non-negative radiance the coefficients were projected from, if kept: unit directions …
+    /// Unit directions of `radiance`, world frame: `[direction]`.
     pub directions: Vec<[f32; 3]>,
-    /// … and their RGB radiance (each direction stands for 4π/n steradians).
+    /// The non-negative radiance that was projected to the coefficients, linear RGB, 4π/n steradians each: `[direction]`.
     pub radiance: Vec<[f32; 3]>,
 }
 
 impl Light {
-    /// l_max + 1; 0 where there is no light.
+    /// Number of SH bands, l_max + 1; 0 without light.
     #[must_use]
     pub fn bands(&self) -> u32 {
         (self.coefficients.len() as f64).sqrt().round() as u32
@@ -63,10 +63,10 @@ pub struct ResultKeyframe {
     pub residual_px: f64,
 }
 
-/// How well a frame that no estimation step used is predicted.
+/// Prediction error of a validation frame: one that no estimation step used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct WitnessError {
-    /// Name of the witness frame.
+    /// Name of the frame.
     pub name: String,
     /// PSNR in dB of the lit colours re-rendered into its view (8-bit sRGB, after exposure).
     pub lit_psnr_db: f64,
@@ -76,7 +76,7 @@ pub struct WitnessError {
     pub coverage: f64,
 }
 
-/// The estimator's answer. Vertex arrays are as long as `mesh.positions`.
+/// Result of the estimator. Arrays `[vertex]` are as long as `mesh.positions`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// Name of the scan.
@@ -85,13 +85,13 @@ pub struct Estimate {
     pub response: Response,
     /// The regularised mesh, normals filled.
     pub mesh: Mesh,
-    /// Segment index of every vertex, into `segments`.
+    /// Index into `segments`: `[vertex]`.
     pub segment: Vec<u32>,
-    /// Lit colour f, linear RGB, view-independent part.
+    /// Lit colour f, linear RGB, view-independent part: `[vertex]`.
     pub lit_color: Vec<Vec3>,
-    /// Diffuse albedo, linear RGB.
+    /// Diffuse albedo, linear RGB: `[vertex]`.
     pub albedo: Vec<Vec3>,
-    /// Confidence in the albedo, 0 (never seen, or unlit) to 1.
+    /// Confidence in the albedo, 0 (never seen, or unlit) to 1: `[vertex]`.
     pub confidence: Vec<f32>,
     /// The light.
     pub light: Light,
@@ -109,7 +109,7 @@ pub struct Estimate {
     pub warnings: Vec<Warning>,
     /// The rule that fixed the free albedo × light factor.
     pub albedo_scale_rule: String,
-    /// Prediction error on the witness frames.
+    /// Prediction errors of the validation frames.
     pub witnesses: Vec<WitnessError>,
 }
 

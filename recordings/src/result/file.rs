@@ -212,8 +212,9 @@ mod tests {
         let read = Estimate::read(&path).unwrap();
         let texts = |e: &Estimate| e.decisions.iter().map(Decision::text).collect::<Vec<_>>();
         assert_eq!(texts(&read), texts(&estimate));
-        assert_eq!(read.cuts, [Cut::Text(estimate.cuts[0].to_string())]);
-        assert_eq!(read.warnings, [Warning::Text(estimate.warnings[0].to_string())]);
+        let cuts: Vec<Cut> = estimate.cuts.iter().map(|c| Cut::Text(c.to_string())).collect();
+        let warnings: Vec<Warning> = estimate.warnings.iter().map(|w| Warning::Text(w.to_string())).collect();
+        assert_eq!((read.cuts, read.warnings), (cuts, warnings));
     }
 
     #[test]
