@@ -3,21 +3,17 @@
 //! Rendered scenes are kept in `target/corpus/<seed>-<version>`. `--out DIR` leaves `DIR/<seed>/scene` and
 //! `DIR/<seed>/result` (and `result_fused` where the seed has a recording), `--json FILE` all figures. `--even`, `--odd` and
 //! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
-//! `--small` makes the scenes that continuous integration uses.
+//! `--small` makes the scenes that continuous integration uses; `--lumiscan` names the
+//! program that replays recordings (by default it is built).
 
-use estimator::Options;
-use firmware_config::EstimatorConfig;
-use recordings::decision_text::Findings;
-use recordings::import::photos::import_photos;
-use recordings::result::Estimate;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 use tests::corpus::plan::{Detail, Plan};
 use tests::corpus::report::{self, Row};
-use tests::corpus::{files, judge, produce};
+use tests::corpus::{files, produce, run};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
@@ -29,11 +25,12 @@ struct Arguments {
     detail: Detail,
     render_only: bool,
     fused: bool,
-    budget_s: f64,
+    program: Option<PathBuf>,
+    budget: Duration,
 }
 
 const USAGE: &str = "usage: corpus --seeds FROM..TO [--even|--odd] [--light distant|lamps|room] [--out DIR] [--json FILE] \
-[--cache DIR] [--budget SECONDS] [--render] [--photos] [--small]";
+[--cache DIR] [--lumiscan PROGRAM] [--budget SECONDS] [--render] [--photos] [--small]";
 
 impl Arguments {
     fn parse() -> Fallible<Self> {
@@ -46,8 +43,9 @@ impl Arguments {
             detail: Detail::FULL,
             render_only: false,
             fused: true,
+            program: None,
             // Enough for the budget not to bind: figures are to be the same on any machine.
-            budget_s: 900.0,
+            budget: Duration::from_secs(900),
         };
         let (mut parity, mut light) = (None, None);
         let mut arguments = std::env::args().skip(1);
@@ -62,7 +60,8 @@ impl Arguments {
                 "--out" => own.out = Some(value()?.into()),
                 "--json" => own.json = Some(value()?.into()),
                 "--cache" => own.cache = value()?.into(),
-                "--budget" => own.budget_s = value()?.parse()?,
+                "--lumiscan" => own.program = Some(value()?.into()),
+                "--budget" => own.budget = Duration::from_secs_f64(value()?.parse()?),
                 "--light" => light = Some(value()?),
                 "--even" => parity = Some(0),
                 "--odd" => parity = Some(1),
@@ -99,9 +98,11 @@ fn main() -> Fallible<()> {
         if arguments.out.is_some() {
             copy(&scene, &folder.join("scene"))?;
         }
-        rows.push(photos(&arguments, &scene, &folder.join("result"), threads)?);
+        rows.push(run::photos(&scene, &folder.join("result"), arguments.budget, threads)?);
         if arguments.fused && scene.join("recording.lrec").is_file() {
-            match fused(&arguments, &scene, &folder, threads) {
+            let program = arguments.program.clone().map_or_else(lumiscan, Ok)?;
+            let (device, result) = (folder.join("device"), folder.join("result_fused"));
+            match run::fused(&program, &scene, &device, &result, arguments.budget, threads) {
                 Ok(row) => rows.push(row),
                 Err(e) => eprintln!("seed {seed}: the recording gave no result: {e}"),
             }
@@ -123,36 +124,6 @@ fn main() -> Fallible<()> {
     Ok(())
 }
 
-/// Photographs with erroneous poses and a mesh, estimated in this process.
-fn photos(arguments: &Arguments, scene: &Path, result: &Path, threads: usize) -> Fallible<Row> {
-    let scan = import_photos(scene, None)?;
-    let started = Instant::now();
-    let options = Options { budget: Duration::from_secs_f64(arguments.budget_s), rounds: None };
-    let estimate = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &())?;
-    finish(&estimate, scene, result, false, started.elapsed().as_secs_f64(), threads)
-}
-
-/// The recording through `lumiscan replay`.
-fn fused(arguments: &Arguments, scene: &Path, folder: &Path, threads: usize) -> Fallible<Row> {
-    let program = lumiscan()?;
-    let device = folder.join("device");
-    let started = Instant::now();
-    let done = Command::new(program)
-        .arg("replay")
-        .arg(scene.join("recording.lrec"))
-        .arg("--device")
-        .arg(&device)
-        .args(["--budget", &arguments.budget_s.to_string()])
-        .output()?;
-    let seconds = started.elapsed().as_secs_f64();
-    let printed = String::from_utf8(done.stdout)?;
-    let published = printed.lines().last().ok_or_else(|| String::from_utf8_lossy(&done.stderr).into_owned())?;
-    let estimate = Estimate::read(&Path::new(published).join("result.lres"))?;
-    let row = finish(&estimate, scene, &folder.join("result_fused"), true, seconds, threads);
-    std::fs::remove_dir_all(&device)?;
-    row
-}
-
 /// The program of this build, made if it is not there.
 fn lumiscan() -> Fallible<PathBuf> {
     let beside = std::env::current_exe()?;
@@ -166,27 +137,6 @@ fn lumiscan() -> Fallible<PathBuf> {
     }
     let built = build.current_dir(env!("CARGO_MANIFEST_DIR")).output()?;
     if built.status.success() { Ok(program) } else { Err(String::from_utf8_lossy(&built.stderr).into_owned().into()) }
-}
-
-/// Exports, judges, and notes what was decided.
-fn finish(
-    estimate: &Estimate,
-    scene: &Path,
-    result: &Path,
-    recorded: bool,
-    seconds: f64,
-    threads: usize,
-) -> Fallible<Row> {
-    std::fs::create_dir_all(result)?;
-    estimator::export::folder::write(estimate, result)?;
-    let mut row = judge::judge(scene, result, recorded, threads)?;
-    row.insert("seconds".into(), json!((seconds * 10.0).round() / 10.0));
-    let findings = Findings::new(&estimate.decisions, &estimate.cuts, &estimate.warnings);
-    let decided = findings.decisions.into_iter().map(|d| (d.text.name, Value::String(d.text.choice)));
-    row.insert("decisions".into(), Value::Object(decided.collect()));
-    row.insert("warnings".into(), json!(findings.warnings));
-    row.insert("cuts".into(), json!(findings.cuts));
-    Ok(row)
 }
 
 fn copy(from: &Path, to: &Path) -> std::io::Result<()> {

@@ -2,7 +2,7 @@
 //!
 //! A seed decides everything: [`plan`] what kind of scene it is, [`stage`] builds it from [`shapes`], [`paint`] and
 //! [`panorama`], [`cameras`] says where pictures are taken, [`produce`] renders it by the project's own path tracer
-//! ([`crate::synth`]) and writes it in the layout of the shared truth scenes. [`judge`] compares an exported result folder
+//! ([`crate::synth`]) and writes it in the layout of the shared truth scenes. [`run`] estimates it, [`judge`] compares the exported result folder
 //! with such a scene; [`report`] makes tables and plots of many.
 
 pub mod cameras;
@@ -14,5 +14,6 @@ pub mod plan;
 pub mod produce;
 pub mod report;
 pub mod rerender;
+pub mod run;
 pub mod shapes;
 pub mod stage;

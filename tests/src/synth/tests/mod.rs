@@ -1,4 +1,5 @@
 mod light;
+mod near;
 mod sensors;
 
 use recordings::types::Intrinsics;
