@@ -19,6 +19,7 @@ use estimator::render::removal::select::{Removal, select};
 use firmware_config::RealityConfig;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::decision::TransferLevel;
+use recordings::local_light::LocalLight;
 use recordings::result::{Estimate, Light, Segment};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response, vertex_normals};
 use std::time::Instant;
@@ -132,6 +133,7 @@ fn desk() -> Estimate {
         warnings: Vec::new(),
         albedo_scale_rule: String::new(),
         witnesses: Vec::new(),
+        local_light: LocalLight::default(),
         mesh,
     }
 }

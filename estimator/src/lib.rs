@@ -24,6 +24,7 @@ pub mod association;
 pub mod budget;
 pub mod export;
 pub mod factorisation;
+pub mod light_model;
 pub mod mesh;
 pub mod model_selection;
 pub mod numerics;
@@ -39,10 +40,11 @@ pub mod validation;
 
 use crate::budget::{Machine, WallClock};
 use crate::factorisation::factorise;
-use crate::factorisation::scale;
-use crate::stages::Run;
+use crate::specular::Gloss;
+use crate::stages::{Answer, Run};
 use firmware_config::EstimatorConfig;
 use recordings::decision::Warning;
+use recordings::local_light::LightModel;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Arc;
@@ -82,15 +84,25 @@ pub fn estimate_on(
     // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
     let traced = stages::trace(&prepared, &mut run);
     let model = stages::select_model(&mut prepared, traced, &mut run);
-    let found = factorise(Arc::clone(&model.traced), &prepared.colors(), &model.options, model.start);
+    let mut found = factorise(Arc::clone(&model.traced), &prepared.colors(), &model.options, model.start);
     run.plan.light_done(model.traced.mean_blocked(), model.options.bands);
+
+    // Light that is not distant, where held-out surface asks for it (N1).
+    let local_light = stages::select_local_light(&mut prepared, &mut found, config);
 
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let lit_with_gloss = prepared.fields.lit_color.clone();
-    let answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
+    let answer = if local_light.model == LightModel::Distant {
+        stages::remove_gloss(&mut prepared, found, &model.options, &mut run)
+    } else {
+        // Eq. (13) mirrors distant light alone.
+        Answer { found, gloss: vec![Gloss::NONE; prepared.segments] }
+    };
 
     // Checks: the assumption of distant light, and frames that no step used.
-    stages::check_distance(&mut prepared, &answer.found, config);
+    if local_light.model == LightModel::Distant {
+        stages::check_distance(&mut prepared, &answer.found, config);
+    }
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
@@ -113,7 +125,8 @@ pub fn estimate_on(
         decisions: prepared.decisions,
         cuts: run.plan.cuts(),
         warnings: prepared.warnings,
-        albedo_scale_rule: scale::rule(&config.tuning.factorisation),
+        albedo_scale_rule: light_model::scale_rule(local_light.model, &config.tuning.factorisation),
         witnesses,
+        local_light,
     })
 }

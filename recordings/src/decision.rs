@@ -3,6 +3,7 @@
 //! These types are stored as postcard, which describes nothing of itself. A variant that was ever written is never edited or
 //! moved: a new version stands at the end of its enum.
 
+use crate::local_light::LightModel;
 use crate::types::Response;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -204,6 +205,24 @@ pub enum Decision {
         /// What the next level up would bring.
         next: TransferNext,
     },
+    /// Model of the light, by the error on held-out blocks of surface.
+    LightModel {
+        /// Model used.
+        chosen: LightModel,
+        /// Models tried, in this order; several of a kind where lamps or pieces were added one by one.
+        ladder: Vec<LightRung>,
+        /// Vertices compared.
+        samples: u32,
+    },
+}
+
+/// A model of the light that was tried.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LightRung {
+    /// Model.
+    pub model: LightModel,
+    /// Mean relative error on held-out blocks of surface.
+    pub held_out: f64,
 }
 
 /// Change of the exposure factor from dark to bright values, relative, under two responses.

@@ -4,6 +4,7 @@ use crate::decision::{
     BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest, TransferNext,
     Warning,
 };
+use crate::local_light::LightModel;
 use crate::types::Response;
 use serde::Serialize;
 use std::fmt;
@@ -82,6 +83,7 @@ impl Decision {
             Self::DistantLight { .. } => "distant light",
             Self::Witnesses { .. } => "witnesses",
             Self::Transfer { .. } => "transfer",
+            Self::LightModel { .. } => "light model",
         }
     }
 
@@ -104,6 +106,7 @@ impl Decision {
             Self::Witnesses { refined: true, .. } => "from the pose that each tells".into(),
             Self::Witnesses { refined: false, .. } => "as tracked".into(),
             Self::Transfer { chosen, .. } => chosen.to_string(),
+            Self::LightModel { chosen, .. } => rung(*chosen).into(),
         }
     }
 
@@ -183,6 +186,11 @@ impl Decision {
                     100.0 * blocked
                 )
             }
+            Self::LightModel { ladder, .. } => {
+                let tried: Vec<String> =
+                    ladder.iter().map(|r| format!("{} {:.4}", rung(r.model), r.held_out)).collect();
+                format!("mean relative error on held-out blocks of surface: {}", tried.join(", "))
+            }
         }
     }
 
@@ -202,6 +210,7 @@ impl Decision {
             Self::BandsWithoutGloss { errors, .. } => format!("{} factorisations", errors.len()),
             Self::DistantLight { vertices, .. } => format!("{vertices} vertices"),
             Self::Witnesses { frames, .. } => format!("{frames} frames rendered"),
+            Self::LightModel { samples, ladder, .. } => format!("{} models, {samples} vertices each", ladder.len()),
         }
     }
 
@@ -242,7 +251,16 @@ impl Decision {
                     format!("twice the rays: relative standard error about {relative_error:.3}")
                 }
             },
+            Self::LightModel { .. } => String::new(),
         }
+    }
+}
+
+/// What a model of light is called in the ladder.
+fn rung(model: LightModel) -> &'static str {
+    match model {
+        LightModel::Secondary => "distant with observed secondary light",
+        other => other.name(),
     }
 }
 
@@ -387,6 +405,8 @@ mod tests {
                 "transfer | gi | 20.0 % of the rays are blocked; 8 bounces bring 10.0 % of the light, the last 0.05 %; 128 \
                  rays a vertex, relative standard error 0.020 | 1.3 million rays | twice the rays: relative standard error \
                  about 0.014",
+                "light model | lamps | mean relative error on held-out blocks of surface: distant 0.4000, lamps 0.0500 | 2 \
+                 models, 5000 vertices each | ",
             ]
         );
     }

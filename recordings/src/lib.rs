@@ -24,6 +24,7 @@ pub mod decision;
 pub mod decision_text;
 pub mod error;
 pub mod import;
+pub mod local_light;
 pub mod ply;
 pub mod recording;
 pub mod result;

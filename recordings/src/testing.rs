@@ -2,9 +2,10 @@
 
 use crate::codec::image::encode_depth_png;
 use crate::decision::{
-    BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest,
-    TransferLevel, TransferNext, Warning,
+    BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, LightRung, PositionEvidence, Reduction,
+    ResponseTest, TransferLevel, TransferNext, Warning,
 };
+use crate::local_light::{Emitter, Lamp, LightModel, LocalLight};
 use crate::recording::Event;
 use crate::result::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::{CaptureStats, Scan, ScanSource};
@@ -175,6 +176,14 @@ pub(crate) fn decisions() -> Vec<Decision> {
         },
         transfer(TransferLevel::Diffuse, 0, 0.005, 0.0, None, TransferNext::Visibility),
         transfer(TransferLevel::Gi, 128, 0.2, 0.02, Some(bounced), TransferNext::TwiceRays { relative_error: 0.014 }),
+        Decision::LightModel {
+            chosen: LightModel::Lamps,
+            ladder: vec![
+                LightRung { model: LightModel::Distant, held_out: 0.4 },
+                LightRung { model: LightModel::Lamps, held_out: 0.05 },
+            ],
+            samples: 5000,
+        },
     ]
 }
 
@@ -247,6 +256,11 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
         warnings: warnings(),
         albedo_scale_rule: "mean 0.5".into(),
         witnesses: vec![WitnessError { name: "w".into(), lit_psnr_db: 30.0, model_psnr_db: 28.0, coverage: 0.8 }],
+        local_light: LocalLight {
+            model: LightModel::LampsAndEmitters,
+            lamps: vec![Lamp { center: [0.1, 0.2, 1.5], radius_m: 0.05, radiance: [9.0, 8.0, 7.0] }],
+            emitters: vec![Emitter { vertices: (0..n.min(2)).collect(), radiance: [5.0, 4.0, 3.0] }],
+        },
         mesh,
     }
 }

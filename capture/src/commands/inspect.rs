@@ -6,6 +6,7 @@ use crate::commands::output::print_json;
 use crate::failure::Failure;
 use recordings::codec::chunk::kind_of;
 use recordings::decision_text::Findings;
+use recordings::local_light::Emitter;
 use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};
 use recordings::result::Estimate;
 use recordings::scan::{Scan, ScanSource};
@@ -77,10 +78,17 @@ fn result(r: &Estimate) -> Value {
         "keyframes": r.keyframes.len(),
         "witnesses": r.witnesses,
         "albedo_scale_rule": r.albedo_scale_rule,
+        "light_model": r.local_light.model.name(),
+        "lamps": r.local_light.lamps,
+        "emitters": r.local_light.emitters.iter().map(emitter).collect::<Vec<_>>(),
         "light": r.light.coefficients,
         "light_standard_deviation": r.light.standard_deviation,
         "materials": r.segments,
     })
+}
+
+fn emitter(e: &Emitter) -> Value {
+    json!({ "vertices": e.vertices.len(), "radiance": e.radiance })
 }
 
 /// The same as text: one line per field, nested fields indented, long lists only counted.

@@ -5,7 +5,7 @@ use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::RefinedView;
 use crate::association::predicted_image::{ImageLevel, PredictedImage};
-use crate::numerics::robust::median;
+use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::PoseTuning;
 use glam::{DVec3, Vec3};
 use nalgebra::{SMatrix, SVector};
@@ -35,13 +35,15 @@ pub struct Alignment {
 }
 
 /// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
-/// given pose, on which the prior acts. `None` if there are too few edge pixels or the system is singular.
+/// given pose, on which the prior acts: `deviation` of the given poses where it is known to be below that of the settings.
+/// `None` if there are too few edge pixels or the system is singular.
 pub fn align(
     context: &AssociationContext,
     image: &KeyframeImage,
     colors: &[Vec3],
     view: &RefinedView,
     moved: &Motion,
+    deviation: &PoseDeviation,
     level: f64,
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
@@ -52,14 +54,15 @@ pub fn align(
     }
     let depth = median(pixels.iter().map(|p| p.point.z))?;
     let prior = Motion::from_fn(|r, _| {
-        let sigma = tuning.prior_px / target.camera.fx.abs() * level * if r < 3 { 1.0 } else { depth };
+        let angle = tuning.prior_px / target.camera.fx.abs() * level;
+        let sigma = if r < 3 { angle.min(deviation.rotation) } else { (angle * depth).min(deviation.translation) };
         1.0 / (sigma * sigma)
     });
     let problem = Problem { target, pixels, prior, tuning };
     let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
     let mut residuals = problem.residuals(&delta);
     let scale = problem.robust_scale(&residuals)?;
-    let before = tukey_cost(&residuals, scale);
+    let before = problem.cost(&residuals, scale, moved);
     let mut best = (before, delta, moved_now);
     for _ in 0..tuning.gauss_newton_steps {
         let (step, step_px) = problem.gauss_newton_step(&residuals, &delta, &moved_now)?;
@@ -69,7 +72,7 @@ pub fn align(
             break;
         }
         residuals = problem.residuals(&delta);
-        let cost = tukey_cost(&residuals, scale);
+        let cost = problem.cost(&residuals, scale, &moved_now);
         if cost < best.0 {
             best = (cost, delta, moved_now);
         }
@@ -85,6 +88,30 @@ pub fn align(
         before,
         after,
     })
+}
+
+/// Standard deviation of given poses, per unknown.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseDeviation {
+    /// Radians.
+    pub rotation: f64,
+    /// World units.
+    pub translation: f64,
+}
+
+impl PoseDeviation {
+    /// Nothing is known beyond the settings.
+    pub const UNKNOWN: Self = Self { rotation: f64::INFINITY, translation: f64::INFINITY };
+
+    /// From the motions of many keyframes, most of which were aligned well; with a factor for those that the prior held.
+    pub fn of(moved: &[Motion], factor: f64) -> Self {
+        let sigma = |unknowns: std::ops::Range<usize>| {
+            let all = moved.iter().filter(|m| m.norm() > 0.0);
+            let sigma = factor * robust_sigma(all.flat_map(|m| unknowns.clone().map(|r| m[r].abs())));
+            if sigma > 0.0 { sigma } else { f64::INFINITY }
+        };
+        Self { rotation: sigma(0..3), translation: sigma(3..6) }
+    }
 }
 
 /// An edge pixel of the predicted image.
@@ -152,6 +179,13 @@ impl Problem<'_> {
         let valid = residuals.iter().copied().filter(|r| !r.is_nan());
         let enough = valid.clone().count() >= self.tuning.min_edge_pixels as usize;
         enough.then(|| median(valid)).flatten().map(|m| f64::from(m).max(MIN_SCALE))
+    }
+
+    /// What a step lowers: the mean Tukey loss, and the prior in the same units.
+    fn cost(&self, residuals: &[f32], scale: f64, moved: &Motion) -> f64 {
+        // The loss of a pixel, over three channels, is TUKEY² / 6 · 3 of the quadratic form's units at most.
+        let unit = self.pixels.len() as f64 * TUKEY * TUKEY / (2.0 * self.tuning.pixels_per_observation);
+        tukey_cost(residuals, scale) + 0.5 * self.prior.component_mul(moved).dot(moved) / unit
     }
 
     /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.

@@ -243,7 +243,7 @@ mod tests {
                 let gloss = if x < 56 { 0.4 / (1.0 + bump * bump) } else { 0.0 };
                 let base = if x < 56 { [0.1, 0.2, 0.15] } else { [0.3, 0.28, 0.25] };
                 let color = base.map(|b| (b * g * (1.0 + gloss + noise)) as f32);
-                observations.push(Observation { vertex: i, keyframe: j as u16, color, weight: 0.5 });
+                observations.push(Observation { vertex: i, keyframe: j as u16, color, weight: 0.5, clipped: false });
             }
             offsets.push(observations.len() as u32);
         }

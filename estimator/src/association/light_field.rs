@@ -47,7 +47,7 @@ impl LightField {
             offsets[i + 1] += offsets[i];
         }
         let mut cursor = offsets.clone();
-        let blank = Observation { vertex: 0, keyframe: 0, color: [0.0; 3], weight: 0.0 };
+        let blank = Observation { vertex: 0, keyframe: 0, color: [0.0; 3], weight: 0.0, clipped: false };
         let mut observations = vec![blank; offsets[n] as usize];
         for o in kept() {
             let at = &mut cursor[o.vertex as usize];

@@ -16,6 +16,8 @@ pub struct Observation {
     pub color: [f32; 3],
     /// Reliability, 0 to 1, from viewing angle, resolution and clipping.
     pub weight: f32,
+    /// A pixel of the sample is clipped: the colour is a lower bound.
+    pub clipped: bool,
 }
 
 /// Pose and exposure of a keyframe after association.
@@ -48,4 +50,13 @@ pub struct Association {
     pub dark_below: f32,
     /// Thresholds of the exposure estimate.
     pub exposure: ExposureTuning,
+}
+
+impl Association {
+    /// Vertices that were seen, but clipped in every keyframe: their lit colour is a lower bound. `[vertex]`
+    #[must_use]
+    pub fn always_clipped(&self) -> Vec<bool> {
+        let rows = self.offsets.windows(2).map(|row| &self.observations[row[0] as usize..row[1] as usize]);
+        rows.map(|row| !row.is_empty() && row.iter().all(|o| o.clipped)).collect()
+    }
 }

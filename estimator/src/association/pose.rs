@@ -1,6 +1,6 @@
 //! Pose refinement: all keyframes against common lit colours, each against colours without its own observations.
 
-use crate::association::alignment::{Alignment, Motion, align};
+use crate::association::alignment::{Alignment, Motion, PoseDeviation, align};
 use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
@@ -48,6 +48,14 @@ impl PoseRefiner {
             _ => &[1.0],
         };
         let filled = fill(context, &lit.color, &lit.weight);
+        // A keyframe of a blank wall moves no farther than those that are held by edges.
+        let tuning = &context.config.tuning.pose;
+        let aligned = self.moved.iter().filter(|m| m.norm() > 0.0).count();
+        let deviation = if aligned >= tuning.deviation_keyframes as usize {
+            PoseDeviation::of(&self.moved, tuning.deviation_factor)
+        } else {
+            PoseDeviation::UNKNOWN
+        };
         let alignments: Vec<Option<Alignment>> = (0..views.len())
             .into_par_iter()
             .map(|j| {
@@ -61,7 +69,7 @@ impl PoseRefiner {
                         view.world_from_camera = a.pose;
                         moved = a.moved;
                     }
-                    if let Some(next) = align(context, image, &colors, &view, &moved, level) {
+                    if let Some(next) = align(context, image, &colors, &view, &moved, &deviation, level) {
                         let step_px = total.as_ref().map_or(0.0, |t| t.step_px).hypot(next.step_px);
                         total = Some(Alignment { step_px, ..next });
                     }
@@ -117,7 +125,7 @@ pub fn located(
     let mut found = *view;
     let mut moved = Motion::zeros();
     for level in [0.25, 0.5, 1.0, 1.0] {
-        if let Some(a) = align(context, image, &colors, &found, &moved, level) {
+        if let Some(a) = align(context, image, &colors, &found, &moved, &PoseDeviation::UNKNOWN, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);
         }
     }

@@ -123,7 +123,13 @@ mod tests {
                     let noise = 0.004 * (f64::from((i * 37 + c as i32 * 11 + k as i32 * 5) % 17) / 8.0 - 1.0);
                     (stated.linear_from_value(value(&real, shade * exposure * white) + noise) / gains[k][c]) as f32
                 });
-                observations.push(Observation { vertex: i as u32, keyframe: k as u16, color, weight: 1.0 });
+                observations.push(Observation {
+                    vertex: i as u32,
+                    keyframe: k as u16,
+                    color,
+                    weight: 1.0,
+                    clipped: false,
+                });
             }
         }
         let view = |gain| RefinedView { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };

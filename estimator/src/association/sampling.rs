@@ -70,9 +70,10 @@ pub fn observe(
         let resolution = (spacing_px * cosine).min(1.0);
         let angle = (cosine - 0.5 * rules.min_cosine).max(0.1 * cosine) / (1.0 - 0.5 * rules.min_cosine);
         let pixels = sample.pixels / (sample.pixels + HALF_WEIGHT_PIXELS);
-        let good = eligible && sample.brightest < context.clipped;
+        let clipped = sample.brightest >= context.clipped;
+        let good = eligible && !clipped;
         let weight = angle * resolution * pixels * if good { 1.0 } else { poor_weight };
-        let observation = Observation { vertex: i as u32, keyframe, color: sample.color, weight };
+        let observation = Observation { vertex: i as u32, keyframe, color: sample.color, weight, clipped };
         if good { out.good.push(observation) } else { out.poor.push(observation) }
     }
     out

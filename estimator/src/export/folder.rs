@@ -30,9 +30,11 @@ pub fn write(result: &Estimate, dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Radiance coefficients, `bands²` rows of RGB.
+/// Radiance coefficients of the distant light, `bands²` rows of RGB, and lamps beside the scene as spheres.
 fn lighting(result: &Estimate) -> Value {
     json!({
+        "light_model": result.local_light.model.name(),
+        "spheres": result.local_light.lamps,
         "coefficients": result.light.coefficients,
         "standard_deviation": result.light.standard_deviation,
         "bands": result.light.bands(),

@@ -7,21 +7,25 @@ use recordings::types::Response;
 use std::io::{BufWriter, Result};
 use std::path::Path;
 
-/// Writes the mesh to `path`: `red green blue` is the lit colour as viewers show it (sRGB), `albedo_*` and `lit_*` are
-/// linear. Nothing appears under that name before it is complete.
+/// Writes the mesh to `path`: `red green blue` is the lit colour as viewers show it (sRGB), `albedo_*`, `lit_*` and, where
+/// a surface emits, `emission_*` (radiance from its front) are linear. Nothing appears under that name before it is complete.
 ///
 /// # Errors
 /// The disk is full or gone.
 pub fn write(result: &Estimate, path: &Path) -> Result<()> {
     let shown: Vec<[u8; 3]> = result.lit_color.iter().map(|c| c.to_array().map(|c| Response::Srgb.encode(c))).collect();
     let segment: Vec<i32> = result.segment.iter().map(|s| *s as i32).collect();
-    let columns = [
+    let emission = result.local_light.emission(result.mesh.positions.len());
+    let mut columns = vec![
         (&["red", "green", "blue"][..], Column::Bytes(&shown)),
         (&["albedo_r", "albedo_g", "albedo_b"], Column::Floats(&result.albedo)),
         (&["lit_r", "lit_g", "lit_b"], Column::Floats(&result.lit_color)),
         (&["confidence"], Column::Float(&result.confidence)),
         (&["segment"], Column::Int(&segment)),
     ];
+    if !result.local_light.emitters.is_empty() {
+        columns.push((&["emission_r", "emission_g", "emission_b"], Column::Floats(&emission)));
+    }
     write_whole(path, |file| {
         let comment = "Lumiscan: metres, +Z up, linear albedo and lit colour";
         write_ply(&mut BufWriter::new(file), comment, &result.mesh, &columns)

@@ -2,6 +2,7 @@
 
 use glam::{DQuat, DVec3, Vec3};
 use recordings::decision::TransferLevel;
+use recordings::local_light::LocalLight;
 use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
 
@@ -41,5 +42,6 @@ pub fn tiny() -> Estimate {
         warnings: vec![],
         albedo_scale_rule: "test".into(),
         witnesses: vec![],
+        local_light: LocalLight::default(),
     }
 }

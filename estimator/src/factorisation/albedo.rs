@@ -26,13 +26,22 @@ pub struct Evidence<'a> {
     irradiance: &'a [Vec3],
     /// Relative error of the transfer: `[vertex]`.
     transfer_error: &'a [f32],
+    /// Standard deviation of the log irradiance that the model of light leaves unexplained in plain surfaces.
+    unexplained: f64,
 }
 
 impl<'a> Evidence<'a> {
     /// Lit colours, irradiance over π and relative error of the transfer, the latter two `[vertex]`.
     #[must_use]
     pub fn new(colors: &'a Colors, irradiance: &'a [Vec3], transfer_error: &'a [f32]) -> Self {
-        Self { colors, irradiance, transfer_error }
+        Self { colors, irradiance, transfer_error, unexplained: 0.0 }
+    }
+
+    /// The same where the model of light leaves this standard deviation of the log irradiance unexplained in plain surfaces: a
+    /// segment's own spread of albedo is what exceeds it.
+    #[must_use]
+    pub fn with_unexplained(self, unexplained: f64) -> Self {
+        Self { unexplained, ..self }
     }
 }
 
@@ -40,7 +49,7 @@ impl<'a> Evidence<'a> {
 /// with the segment's spread as prior and the errors of f_i and E_i as likelihood. `segment_albedo` is `[segment][channel]`.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
-    let &Evidence { colors, irradiance, transfer_error } = evidence;
+    let &Evidence { colors, irradiance, transfer_error, unexplained } = evidence;
     let count = colors.lit_color.len();
     let logs: Vec<Option<[f64; 3]>> = (0..count)
         .into_par_iter()
@@ -65,10 +74,12 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             let relative_light = f64::from(irradiance[i].element_sum()) / brightness[segment].max(1e-30);
             let light_error = tuning.light_error / relative_light.clamp(1e-3, 1.0);
             let color_error = tuning.color_error / libm::sqrt(f64::from(colors.lit_weight[i]).clamp(0.05, 1.0));
-            let variance = light_error * light_error
+            let variance = unexplained * unexplained
+                + light_error * light_error
                 + color_error * color_error
                 + f64::from(transfer_error[i] * transfer_error[i]);
-            let detail_share = spreads[segment] * spreads[segment] / (spreads[segment] * spreads[segment] + variance);
+            let texture = (spreads[segment] * spreads[segment] - unexplained * unexplained).max(0.0);
+            let detail_share = texture / (texture + variance);
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
             let seen = f64::from(colors.lit_weight[i]).min(1.0);
             (

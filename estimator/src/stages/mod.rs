@@ -2,6 +2,7 @@
 //! each once; the sweep runs some of them many times.
 
 mod gloss;
+mod local_light;
 mod model;
 mod prepare;
 mod result;
@@ -9,6 +10,7 @@ mod run;
 mod witnesses;
 
 pub use gloss::{Answer, remove_gloss};
+pub use local_light::select_local_light;
 pub use model::{SelectedModel, refine, select_model, trace};
 pub use prepare::{Prepared, prepare};
 pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};

@@ -90,8 +90,15 @@ impl Traced {
             .collect()
     }
 
-    /// Vertices hit by the rays of one vertex.
-    pub(super) fn hits(&self, vertex: usize) -> &[u32] {
+    /// Rays per vertex whose hits are held.
+    #[must_use]
+    pub fn hit_rays(&self) -> u32 {
+        self.hit_rays
+    }
+
+    /// Vertices whose front the held rays of one vertex hit, one for each such ray of [`Traced::hit_rays`].
+    #[must_use]
+    pub fn hits(&self, vertex: usize) -> &[u32] {
         &self.corners[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
     }
 

@@ -1,6 +1,7 @@
 //! What a result holds.
 
 use crate::decision::{Cut, Decision, TransferLevel, Warning};
+use crate::local_light::LocalLight;
 use crate::scan::contents::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
 use glam::Vec3;
@@ -111,6 +112,8 @@ pub struct Estimate {
     pub albedo_scale_rule: String,
     /// Prediction errors of the validation frames.
     pub witnesses: Vec<WitnessError>,
+    /// Lamps and emission, and the model of light that was chosen.
+    pub local_light: LocalLight,
 }
 
 impl Estimate {
@@ -132,6 +135,7 @@ impl Estimate {
             return Err("a colour or confidence that is not finite".into());
         }
         self.light.check()?;
+        self.local_light.check(n)?;
         for (index, s) in self.segments.iter().enumerate() {
             let numbers = [s.albedo[0], s.albedo[1], s.albedo[2], s.w_d, s.w_s];
             if !numbers.iter().all(|x| x.is_finite()) || s.w_s_error.is_nan() {

@@ -5,6 +5,7 @@ use crate::codec::connectivity::{self, Traversal};
 use crate::codec::vertices;
 use crate::decision::{Cut, Decision, DecisionText, Warning};
 use crate::error::{Error, Result};
+use crate::local_light::LocalLight;
 use crate::result::estimate::Estimate;
 use crate::types::Mesh;
 use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
@@ -21,6 +22,8 @@ const VERTICES: Tag = *b"VERT";
 const COSTS: Tag = *b"COST";
 /// Decisions, cuts and warnings as figures. Programs that do not know it, or a variant in it, read the sentences in the head.
 const FINDINGS: Tag = *b"FIND";
+/// Lamps and emission; absent where the light is distant. Programs that do not know it show the distant part alone.
+const LOCAL_LIGHT: Tag = *b"NEAR";
 const KNOWN: &[(Tag, u32)] = &[
     (HEAD, 1 << 26),
     (LIGHT, 1 << 24),
@@ -28,6 +31,7 @@ const KNOWN: &[(Tag, u32)] = &[
     (VERTICES, 1 << 30),
     (COSTS, 1 << 20),
     (FINDINGS, 1 << 20),
+    (LOCAL_LIGHT, 1 << 26),
 ];
 /// What the chunk of findings holds.
 type Findings = (Vec<Decision>, Vec<Cut>, Vec<Warning>);
@@ -39,18 +43,23 @@ impl Estimate {
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
-        let mut chunks: [Option<Vec<u8>>; 6] = Default::default();
+        let mut chunks: [Option<Vec<u8>>; 7] = Default::default();
         let mut payload = Vec::new();
         while let Some(tag) = file.next(&mut payload)? {
             if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
                 chunks[slot] = Some(std::mem::take(&mut payload));
             }
         }
-        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings] = chunks else {
+        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings, local] = chunks else {
             return Err(invalid("a part is missing".into()));
         };
         let mut estimate =
             Self::from_chunks(&head, &light, &triangles, &vertices, costs.as_deref()).map_err(invalid)?;
+        // Of a newer program's model the distant part is left.
+        if let Some((local, _)) = local.as_deref().and_then(|l| from_bytes::<LocalLight>(l).ok()) {
+            local.check(estimate.mesh.positions.len()).map_err(invalid)?;
+            estimate.local_light = local;
+        }
         // A variant of a newer program leaves the sentences in place.
         if let Some((findings, _)) = findings.as_deref().and_then(|f| from_bytes::<Findings>(f).ok()) {
             (estimate.decisions, estimate.cuts, estimate.warnings) = findings;
@@ -93,6 +102,7 @@ impl Estimate {
             warnings: head.warnings.into_iter().map(Warning::Text).collect(),
             albedo_scale_rule: head.albedo_scale_rule,
             witnesses: head.witnesses.into_iter().map(Into::into).collect(),
+            local_light: LocalLight::default(),
         };
         estimate.check()?;
         Ok(estimate)
@@ -127,6 +137,9 @@ impl Estimate {
         let costs: Vec<&String> = texts.iter().map(|t| &t.cost).collect();
         file.write(COSTS, &[&to_bytes(&costs).map_err(refuse)?])?;
         file.write(FINDINGS, &[&to_bytes(&(&self.decisions, &self.cuts, &self.warnings)).map_err(refuse)?])?;
+        if self.local_light != LocalLight::default() {
+            file.write(LOCAL_LIGHT, &[&to_bytes(&self.local_light).map_err(refuse)?])?;
+        }
         file.finish()
     }
 }

@@ -1,0 +1,436 @@
+//! The model of light that held-out surface asks for: distant light first, then secondary light as it was observed, emitting
+//! surfaces, lamps beside the scene; a smooth function of position and normal where none of them explains more.
+
+use crate::factorisation::albedo::{self, Detail, Evidence};
+use crate::factorisation::{Colors, Factorised, Solution};
+use crate::light_model::emitters::{self, Piece};
+use crate::light_model::lamps::{self, Sphere};
+use crate::light_model::samples::{self, Samples};
+use crate::light_model::search::Search;
+use crate::light_model::secondary;
+use crate::light_model::smooth_fallback::Smooth;
+use crate::light_model::solve::{self, Rows, Solved};
+use crate::mesh::graph::Graph;
+use crate::numerics::robust::{robust_sigma, weighted_median};
+use crate::rays::RayScene;
+use crate::transfer::Traced;
+use firmware_config::tuning::FactorisationTuning;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::decision::{Decision, LightRung};
+use recordings::local_light::{Emitter, Lamp, LightModel, LocalLight};
+use recordings::types::Mesh;
+
+/// Bands of the light beyond the scene in near models.
+const BANDS: usize = 5;
+/// Bands while a lamp is looked for.
+const SEARCH_BANDS: usize = 3;
+/// Regularisation of the light beyond the scene while models are compared, and those that the chosen one is solved with.
+const REGULARISATION: f64 = 1e-2;
+const REGULARISATIONS: [f64; 3] = [1e-1, 1e-2, 1e-3];
+/// A weaker regularisation must lower the held-out error by this share.
+const WORTHWHILE: f64 = 0.01;
+/// A richer model must lower the held-out error by this share, and by more than one standard error.
+const LEAST_GAIN: f64 = 0.02;
+/// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
+const UNQUESTIONED: f64 = 0.03;
+/// Nor is it where it leaves less than this share of what a smooth function of position and normal leaves.
+const CLEAR: f64 = 0.5;
+/// Lamps at most.
+const MAX_LAMPS: usize = 4;
+/// Rays to a lamp from a vertex.
+const LAMP_RAYS: u32 = 8;
+/// Radius of a lamp that was not seen, as a share of its distance from the scene's centre.
+const LAMP_RADIUS: f32 = 0.05;
+/// A lamp this many scene sizes away is at infinity.
+const INFINITE: f32 = 1e3;
+/// Times that radiance of what was not seen is taken from the model.
+const FILLS: usize = 2;
+/// Albedo of the brightest segment where no light explains the colours.
+const BRIGHTEST: f64 = 0.75;
+/// Quantile of the segments' spread of log albedo that is taken as that of plain ones.
+const PLAIN: f64 = 0.25;
+
+/// What the choice is made from.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// Mesh.
+    pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub rays: &'a RayScene,
+    /// Lit colours and segments.
+    pub colors: Colors<'a>,
+    /// Vertices that were seen, but clipped in every picture.
+    pub clipped: &'a [bool],
+}
+
+/// What takes the place of the distant answer.
+pub struct Near {
+    /// Light beyond the scene and segments' albedo.
+    pub solution: Solution,
+    /// Albedo per vertex.
+    pub detail: Detail,
+    /// Irradiance over π per vertex, of all light.
+    pub irradiance: Vec<Vec3>,
+    /// Lamps, emission, and the model.
+    pub light: LocalLight,
+}
+
+/// The model that held-out surface asks for; `None` where it is distant light, `found`.
+#[must_use]
+pub fn choose(scene: &Scene, found: &Factorised, tuning: &FactorisationTuning) -> (Option<Near>, Decision) {
+    let mut choice = Choice::new(scene, &found.transfer.traced, tuning);
+    let at = |n: usize| found.irradiance[choice.samples.vertex[n] as usize].to_array().map(f64::from);
+    let distant = choice.errors(at);
+    let samples = choice.samples.len() as u32;
+    let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
+    let mut near = None;
+    let smooth = Smooth::fit(scene.mesh, &choice.samples);
+    let flat = mean(&choice.errors(|_| [1.0; 3]));
+    let smoothed = mean(&choice.errors(|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize)));
+    ladder.push(LightRung { model: LightModel::Unexplained, held_out: smoothed.min(flat) });
+    if mean(&distant) > UNQUESTIONED.max(CLEAR * smoothed.min(flat)) && distant.len() > 1 {
+        choice.observe();
+        let best = choice.grown(&mut ladder);
+        let is_near = is_better(&best.blocks, &distant);
+        let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
+        if smoothed.min(flat) < least * (1.0 - LEAST_GAIN) {
+            let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
+            near = Some(choice.unexplained(smooth, found));
+        } else if is_near {
+            near = Some(choice.finished(best, found));
+        }
+    }
+    let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
+    (near, Decision::LightModel { chosen, ladder, samples })
+}
+
+/// Held-out blocks: (block, sum of errors, weight).
+type Blocks = Vec<(u32, f64, f64)>;
+
+fn mean(blocks: &Blocks) -> f64 {
+    let (sum, weight) = blocks.iter().fold((0.0, 0.0), |(s, w), b| (s + b.1, w + b.2));
+    if weight > 0.0 { sum / weight } else { 0.0 }
+}
+
+/// The new model's held-out error is lower by more than one standard error and by more than [`LEAST_GAIN`].
+fn is_better(new: &Blocks, old: &Blocks) -> bool {
+    let total: f64 = old.iter().map(|b| b.2).sum();
+    let gain = mean(old) - mean(new);
+    let variance: f64 = new.iter().zip(old).map(|(n, o)| ((o.1 - n.1 - gain * o.2) / total).powi(2)).sum();
+    gain > libm::sqrt(variance) && gain > LEAST_GAIN * mean(old)
+}
+
+/// A model of light: lamps, emitting pieces, and what they were solved to.
+struct Model {
+    lamps: Vec<Sphere>,
+    emitters: Vec<usize>,
+    solved: Solved,
+    blocks: Blocks,
+}
+
+impl Model {
+    fn kind(&self) -> LightModel {
+        match (self.lamps.is_empty(), self.emitters.is_empty()) {
+            (true, true) => LightModel::Secondary,
+            (false, true) => LightModel::Lamps,
+            (true, false) => LightModel::Emitters,
+            (false, false) => LightModel::LampsAndEmitters,
+        }
+    }
+}
+
+struct Choice<'a> {
+    scene: &'a Scene<'a>,
+    traced: &'a Traced,
+    tuning: &'a FactorisationTuning,
+    samples: Samples,
+    pieces: Vec<Piece>,
+    /// Form factors of the pieces: `[piece][sample]`.
+    piece_columns: Vec<Vec<f32>>,
+    /// What every surface radiates, as observed or from around: `[vertex]`.
+    radiance: Vec<Vec3>,
+}
+
+impl<'a> Choice<'a> {
+    fn new(scene: &'a Scene<'a>, traced: &'a Traced, tuning: &'a FactorisationTuning) -> Self {
+        let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight, |i| !scene.clipped[i]);
+        Self { scene, traced, tuning, samples, pieces: Vec::new(), piece_columns: Vec::new(), radiance: Vec::new() }
+    }
+
+    /// Finds what may emit, and what surfaces radiate.
+    fn observe(&mut self) {
+        let Scene { mesh, rays, colors, clipped } = *self.scene;
+        let graph = Graph::of(mesh);
+        let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
+        self.radiance = secondary::filled(&graph, colors.lit_color, &seen);
+        self.pieces = emitters::candidates(mesh, &graph, clipped, &seen);
+        let column = |piece: &Piece| emitters::form_factors(mesh, rays, self.traced, piece, &self.samples.vertex);
+        self.piece_columns = self.pieces.iter().map(column).collect();
+    }
+
+    /// Held-out errors of an irradiance that is given at every sample, each segment's albedo fitted to it.
+    fn errors(&self, irradiance: impl Fn(usize) -> [f64; 3]) -> Blocks {
+        let albedo = segment_albedo(&self.samples, &irradiance);
+        let error = |n: usize| {
+            let albedo = &albedo[self.samples.segment[n] as usize];
+            solve::relative_error(&self.samples, n, albedo, &irradiance(n))
+        };
+        solve::blocks(&self.samples, error)
+    }
+
+    fn lamp_column(&self, lamp: &Sphere) -> Vec<f32> {
+        lamps::form_factors(self.scene.mesh, self.scene.rays, &self.samples.vertex, lamp, LAMP_RAYS)
+    }
+
+    /// Radiance of all surfaces but those that emit.
+    fn radiance_without(&self, emitters: &[usize]) -> Vec<Vec3> {
+        let mut radiance = self.radiance.clone();
+        for &i in emitters.iter().flat_map(|p| &self.pieces[*p].vertices) {
+            radiance[i as usize] = Vec3::ZERO;
+        }
+        radiance
+    }
+
+    /// Rows of (N5) with these sources, in `bands` bands: values and G.
+    fn rows(&self, bands: usize, emitters: &[usize], lamps: &[Vec<f32>]) -> (Vec<f32>, Vec<[f64; 3]>) {
+        let (all, used) = (self.traced.bands * self.traced.bands, bands * bands);
+        let radiance = self.radiance_without(emitters);
+        let mut shared = Vec::with_capacity(self.samples.len() * (used + emitters.len() + lamps.len()));
+        for (n, &i) in self.samples.vertex.iter().enumerate() {
+            shared.extend_from_slice(&self.traced.direct[i as usize * all..][..used]);
+            shared.extend(emitters.iter().map(|p| self.piece_columns[*p][n]));
+            shared.extend(lamps.iter().map(|l| l[n]));
+        }
+        let secondary = |i: &u32| secondary::secondary(self.traced, &radiance, *i as usize);
+        (shared, self.samples.vertex.par_iter().map(secondary).map(|g| g.to_array().map(f64::from)).collect())
+    }
+
+    fn bands(&self) -> usize {
+        BANDS.min(self.traced.bands)
+    }
+
+    fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
+        let columns: Vec<Vec<f32>> = lamps.iter().map(|l| self.lamp_column(l)).collect();
+        let (shared, secondary) = self.rows(self.bands(), emitters, &columns);
+        let coefficients = self.bands() * self.bands();
+        let rows = Rows {
+            samples: &self.samples,
+            coefficients,
+            columns: coefficients + emitters.len() + lamps.len(),
+            shared: &shared,
+            secondary: &secondary,
+        };
+        let solved = solve::solve(&rows, regularisation);
+        let blocks = solved.held_out(&self.samples);
+        Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
+    }
+
+    /// Adds emitting pieces and lamps while held-out surface asks for them, then takes away pieces that it does not miss.
+    fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
+        let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
+        let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
+        let mut best = solved(&[], &[]);
+        note(&best);
+        loop {
+            let with = |p: usize| {
+                let mut emitters = best.emitters.clone();
+                emitters.push(p);
+                solved(&emitters, &[])
+            };
+            let others = (0..self.pieces.len()).filter(|p| !best.emitters.contains(p));
+            let next = others.map(with).min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
+            let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
+            best = next;
+        }
+        if !best.emitters.is_empty() {
+            note(&best);
+        }
+        while best.lamps.len() < MAX_LAMPS {
+            let Some(next) = self.with_lamp(&best) else { break };
+            if !is_better(&next.blocks, &best.blocks) {
+                break;
+            }
+            best = next;
+            note(&best);
+        }
+        // A lamp that was not there yet may have been taken for emission.
+        for p in best.emitters.clone() {
+            let emitters: Vec<usize> = best.emitters.iter().copied().filter(|e| *e != p).collect();
+            let without = solved(&emitters, &best.lamps);
+            if best.lamps.is_empty() || is_better(&best.blocks, &without.blocks) {
+                continue;
+            }
+            best = without;
+            note(&best);
+        }
+        best
+    }
+
+    /// The model with one more lamp where it fits best; `None` if it fits as well at infinity.
+    fn with_lamp(&self, model: &Model) -> Option<Model> {
+        let columns: Vec<Vec<f32>> = model.lamps.iter().map(|l| self.lamp_column(l)).collect();
+        let bands = SEARCH_BANDS.min(self.traced.bands);
+        let (shared, secondary) = self.rows(bands, &model.emitters, &columns);
+        let rows = Rows {
+            samples: &self.samples,
+            coefficients: bands * bands,
+            columns: bands * bands + model.emitters.len() + columns.len(),
+            shared: &shared,
+            secondary: &secondary,
+        };
+        let (low, high) = samples::bounds(self.scene.mesh);
+        let middle = 0.5 * (low + high);
+        let center = Search { mesh: self.scene.mesh, scene: self.scene.rays, rows }.best_place()?;
+        let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
+        let far = middle + (center - middle).normalize_or_zero() * (INFINITE * low.distance(high));
+        let solved = |center: Vec3| {
+            let lamps: Vec<Sphere> = model.lamps.iter().copied().chain([sphere(center)]).collect();
+            self.solved(&model.emitters, &lamps, REGULARISATION)
+        };
+        let (near, distant) = (solved(center), solved(far));
+        is_better(&near.blocks, &distant.blocks).then_some(near)
+    }
+
+    /// Irradiance over π of all vertices but for secondary light.
+    fn direct_light(&self, model: &Model, columns: &[Vec<f32>]) -> Vec<[f64; 3]> {
+        let (all, used) = (self.traced.bands * self.traced.bands, self.bands() * self.bands());
+        let light = &model.solved.light;
+        let at = |i: usize| {
+            let transfer = self.traced.direct[i * all..].iter().copied().take(used);
+            let values = transfer.chain(columns.iter().map(|c| c[i]));
+            values.zip(light).fold([0.0; 3], |sum: [f64; 3], (t, l)| [0, 1, 2].map(|c| sum[c] + f64::from(t) * l[c]))
+        };
+        (0..self.traced.vertices()).into_par_iter().map(at).collect()
+    }
+
+    /// The chosen model at every vertex, what was not seen radiating as the model says.
+    fn finished(&mut self, model: Model, found: &Factorised) -> Near {
+        let Scene { mesh, rays, colors, clipped } = *self.scene;
+        let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
+        let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l, LAMP_RAYS);
+        let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
+        let mut model = model;
+        let mut irradiance = Vec::new();
+        for fill in 0..=FILLS {
+            let direct = self.direct_light(&model, &columns);
+            let radiance = self.radiance_without(&model.emitters);
+            let total = |i: usize| {
+                let d = Vec3::from_array(direct[i].map(|x| x as f32));
+                (d + secondary::secondary(self.traced, &radiance, i)).max(Vec3::ZERO)
+            };
+            irradiance = (0..self.traced.vertices()).into_par_iter().map(total).collect::<Vec<Vec3>>();
+            if fill == FILLS {
+                break;
+            }
+            for i in 0..self.radiance.len() {
+                let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
+                let reflected = Vec3::from_array(albedo) * irradiance[i];
+                if colors.lit_weight[i] <= 0.0 {
+                    self.radiance[i] = reflected;
+                } else if clipped[i] {
+                    self.radiance[i] = colors.lit_color[i].max(reflected);
+                }
+            }
+            let tried = REGULARISATIONS.map(|r| self.solved(&model.emitters, &model.lamps, r));
+            let kept = tried.into_iter().reduce(|best, next| {
+                if mean(&next.blocks) < mean(&best.blocks) * (1.0 - WORTHWHILE) { next } else { best }
+            });
+            model = kept.unwrap_or(model);
+        }
+        let used = self.bands() * self.bands();
+        let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
+        for (p, radiance) in model.emitters.iter().zip(&model.solved.light[used..]) {
+            local.emitters.push(Emitter { vertices: self.pieces[*p].vertices.clone(), radiance: *radiance });
+        }
+        for (l, power) in model.lamps.iter().zip(&model.solved.light[used + model.emitters.len()..]) {
+            let area = f64::from(l.radius).powi(2);
+            let radiance = power.map(|p| p / area);
+            local.lamps.push(Lamp { center: l.center.to_array(), radius_m: l.radius, radiance });
+        }
+        let solution = Solution {
+            light: model.solved.light[..used].to_vec(),
+            standard_deviation: model.solved.standard_deviation[..used].to_vec(),
+            radiance: model.solved.radiance,
+            albedo: model.solved.albedo,
+            ..found.solution.clone()
+        };
+        self.near(solution, irradiance, local)
+    }
+
+    /// Light as a smooth function of position and normal; what is exported as light is its mean.
+    fn unexplained(&self, irradiance: impl Fn(usize) -> [f64; 3], found: &Factorised) -> Near {
+        let at = |n: usize| irradiance(self.samples.vertex[n] as usize);
+        let mut albedo = segment_albedo(&self.samples, &at);
+        let brightest = |c: usize| albedo.iter().map(|a| a[c]).fold(0.0, f64::max).max(1e-30);
+        let scale = [0, 1, 2].map(|c| BRIGHTEST / brightest(c));
+        albedo.iter_mut().for_each(|a| (0..3).for_each(|c| a[c] *= scale[c]));
+        let scaled = |i: usize| {
+            let e = irradiance(i);
+            Vec3::from_array([0, 1, 2].map(|c| (e[c] / scale[c]) as f32))
+        };
+        let all: Vec<Vec3> = (0..self.traced.vertices()).map(scaled).collect();
+        let level = all.iter().map(|e| e.as_dvec3()).sum::<glam::DVec3>() / all.len().max(1) as f64;
+        // Uniform radiance L is L √(4π) times the first harmonic, and makes an irradiance over π of L.
+        let first = libm::sqrt(4.0 * std::f64::consts::PI);
+        let count = found.solution.radiance.len();
+        let solution = Solution {
+            light: vec![(level * first).to_array()],
+            standard_deviation: vec![(level * first).to_array()],
+            radiance: vec![level.to_array(); count],
+            albedo,
+            ..found.solution.clone()
+        };
+        let light = LocalLight { model: LightModel::Unexplained, ..LocalLight::default() };
+        self.near(solution, all, light)
+    }
+
+    /// Albedo in detail under the new irradiance.
+    fn near(&self, solution: Solution, irradiance: Vec<Vec3>, light: LocalLight) -> Near {
+        let transfer_error = self.traced.relative_errors();
+        let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error)
+            .with_unexplained(self.plain_spread(&solution, &irradiance));
+        let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
+        for &i in light.emitters.iter().flat_map(|e| &e.vertices) {
+            detail.albedo[i as usize] = Vec3::splat(self.tuning.initial_albedo as f32);
+            detail.confidence[i as usize] = 0.0;
+        }
+        Near { solution, detail, irradiance, light }
+    }
+
+    /// What light leaves unexplained: the spread of log albedo within plain segments.
+    fn plain_spread(&self, solution: &Solution, irradiance: &[Vec3]) -> f64 {
+        let mut logs: Vec<Vec<f64>> = vec![Vec::new(); self.samples.segments];
+        let mut weights = vec![0.0; self.samples.segments];
+        for n in 0..self.samples.len() {
+            let s = self.samples.segment[n] as usize;
+            let (f, e) = (self.samples.color[n], irradiance[self.samples.vertex[n] as usize]);
+            let log = |c: usize| libm::log(f[c].max(1e-30) / (f64::from(e[c]) * solution.albedo[s][c]).max(1e-30));
+            logs[s].push((log(0).abs() + log(1).abs() + log(2).abs()) / 3.0);
+            weights[s] += self.samples.weight[n];
+        }
+        let total: f64 = weights.iter().sum();
+        let mut spreads: Vec<(f64, f64)> = logs.into_iter().map(robust_sigma).zip(weights).collect();
+        spreads.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut below = 0.0;
+        let plain = spreads.into_iter().find(|(_, w)| {
+            below += w;
+            below > PLAIN * total
+        });
+        plain.map_or(0.0, |(spread, _)| spread)
+    }
+}
+
+/// Weighted median of f / E over the fitted samples of each segment.
+fn segment_albedo(samples: &Samples, irradiance: &impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
+    let mut ratios: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); samples.segments];
+    for n in (0..samples.len()).filter(|n| samples.held_out[*n].is_none()) {
+        let e = irradiance(n);
+        for c in 0..3 {
+            let ratio = samples.color[n][c] / e[c].max(1e-30);
+            ratios[samples.segment[n] as usize][c].push((ratio, samples.weight[n]));
+        }
+    }
+    ratios.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
+}

@@ -1,0 +1,137 @@
+//! Surfaces that emit (N4): connected pieces that are clipped in every picture that shows them are the candidates.
+
+use crate::mesh::graph::Graph;
+use crate::numerics::random::{hash, unit};
+use crate::rays::RayScene;
+use crate::transfer::Traced;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::types::Mesh;
+
+/// Candidates at most, largest first.
+const MAX_PIECES: usize = 8;
+/// Vertices of a candidate at least.
+const MIN_VERTICES: usize = 4;
+/// A piece grows over its unseen side within so many of its radii …
+const UNSEEN_RADII: f32 = 2.5;
+/// … to so many times its own vertices at most: a lamp's back, not the wall behind.
+const UNSEEN_RATIO: usize = 4;
+/// Hits from which the share of rays is a better estimate than points on the piece.
+const ENOUGH_HITS: usize = 20;
+/// Points on a piece that a vertex looks at.
+const POINTS: usize = 16;
+
+/// A piece of surface that may emit.
+#[derive(Debug, Clone)]
+pub struct Piece {
+    /// Its vertices, ascending.
+    pub vertices: Vec<u32>,
+    /// Area up to and including each of them.
+    cumulative_area: Vec<f32>,
+}
+
+impl Piece {
+    fn new(vertices: Vec<u32>, area: &[f32]) -> Self {
+        let mut sum = 0.0;
+        let cumulative_area = vertices.iter().map(|&i| {
+            sum += area[i as usize];
+            sum
+        });
+        Self { cumulative_area: cumulative_area.collect(), vertices }
+    }
+
+    fn area(&self) -> f32 {
+        self.cumulative_area.last().copied().unwrap_or(0.0)
+    }
+}
+
+/// Candidates. `clipped`: seen, but clipped in every picture; `seen`: seen at all.
+#[must_use]
+pub fn candidates(mesh: &Mesh, graph: &Graph, clipped: &[bool], seen: &[bool]) -> Vec<Piece> {
+    let area = vertex_areas(mesh);
+    let mut taken = vec![false; clipped.len()];
+    let mut pieces = Vec::new();
+    for start in 0..clipped.len() {
+        if !clipped[start] || taken[start] {
+            continue;
+        }
+        let mut vertices = connected(graph, vec![start as u32], &mut taken, |i| clipped[i]);
+        if vertices.len() < MIN_VERTICES {
+            continue;
+        }
+        let center = vertices.iter().map(|&i| mesh.positions[i as usize]).sum::<Vec3>() / vertices.len() as f32;
+        let distance = |i: usize| mesh.positions[i].distance(center);
+        let reach = UNSEEN_RADII * vertices.iter().map(|&i| distance(i as usize)).fold(0.0, f32::max);
+        let mut grown_taken = taken.clone();
+        let grown = connected(graph, vertices.clone(), &mut grown_taken, |i| !seen[i] && distance(i) < reach);
+        if grown.len() <= UNSEEN_RATIO * vertices.len() {
+            (vertices, taken) = (grown, grown_taken);
+        }
+        vertices.sort_unstable();
+        pieces.push(Piece::new(vertices, &area));
+    }
+    pieces.sort_by(|a, b| b.area().total_cmp(&a.area()).then(a.vertices[0].cmp(&b.vertices[0])));
+    pieces.truncate(MAX_PIECES);
+    pieces
+}
+
+/// `from` and all that is connected to it over vertices that `belong`.
+fn connected(graph: &Graph, from: Vec<u32>, taken: &mut [bool], belong: impl Fn(usize) -> bool) -> Vec<u32> {
+    let mut found = from;
+    found.iter().for_each(|&i| taken[i as usize] = true);
+    let mut next = 0;
+    while next < found.len() {
+        let i = found[next] as usize;
+        for &j in graph.neighbours(i) {
+            if !taken[j as usize] && belong(j as usize) {
+                taken[j as usize] = true;
+                found.push(j);
+            }
+        }
+        next += 1;
+    }
+    found
+}
+
+fn vertex_areas(mesh: &Mesh) -> Vec<f32> {
+    let mut area = vec![0.0; mesh.positions.len()];
+    for t in &mesh.triangles {
+        let [a, b, c] = t.map(|i| mesh.positions[i as usize]);
+        let third = (b - a).cross(c - a).length() / 6.0;
+        t.iter().for_each(|&i| area[i as usize] += if third.is_finite() { third } else { 0.0 });
+    }
+    area
+}
+
+/// F of (N4) at many vertices: the share of their rays that hit the front of the piece, or, where those are few, the
+/// integral of cosines over squared distance by points on the piece.
+#[must_use]
+pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piece, vertices: &[u32]) -> Vec<f32> {
+    let mut emits = vec![false; mesh.positions.len()];
+    piece.vertices.iter().for_each(|&i| emits[i as usize] = true);
+    let factor = |&vertex: &u32| {
+        let hits = traced.hits(vertex as usize).iter().filter(|h| emits[**h as usize]).count();
+        if hits >= ENOUGH_HITS {
+            return hits as f32 / traced.hit_rays() as f32;
+        }
+        let (position, normal) = (mesh.positions[vertex as usize], mesh.normals[vertex as usize]);
+        let origin = scene.offset_origin(position, normal);
+        let shift = unit(hash(vertex, 0xe317));
+        let point = |n: usize| {
+            let at = piece.area() * (n as f32 + shift) / POINTS as f32;
+            let index = piece.cumulative_area.partition_point(|a| *a <= at).min(piece.vertices.len() - 1);
+            let from = piece.vertices[index] as usize;
+            let to = scene.offset_origin(mesh.positions[from], mesh.normals[from]) - origin;
+            let distance = to.length();
+            let direction = to / distance;
+            let (here, there) = (direction.dot(normal), -direction.dot(mesh.normals[from]));
+            // Written so that NaN fails too.
+            if !(here > 0.0 && there > 0.0) || scene.occluded_within(origin, direction, distance) {
+                return 0.0;
+            }
+            here * there / (std::f32::consts::PI * distance * distance)
+        };
+        (piece.area() / POINTS as f32 * (0..POINTS).map(point).sum::<f32>()).min(1.0)
+    };
+    vertices.par_iter().map(factor).collect()
+}

@@ -1,0 +1,208 @@
+//! The place of a lamp that is not seen: every place costs one more column, so that a lattice of places can be compared; the
+//! best ones are solved in full and refined by a simplex.
+
+use crate::light_model::lamps::{self, Sphere};
+use crate::light_model::samples::{self, DARK_FLOOR};
+use crate::light_model::solve::{self, Channel, Rows, Values};
+use crate::rays::RayScene;
+use glam::Vec3;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use recordings::types::Mesh;
+
+/// Places of the lattice along each axis.
+const LATTICE: [u32; 3] = [13, 13, 10];
+/// The lattice reaches beyond the scene by this share of its longest side.
+const MARGIN: f32 = 0.6;
+/// Samples that the places of the lattice are compared by.
+const LATTICE_SAMPLES: usize = 700;
+/// Best places that are solved in full, no two nearer than this many lattice steps.
+const SOLVED: usize = 6;
+const APART: f32 = 1.6;
+/// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
+const SIMPLEX: f32 = 0.6;
+const EVALUATIONS: usize = 60;
+const SETTLED: f32 = 0.02;
+/// Regularisation of the light beyond the lamp during the search.
+const REGULARISATION: f64 = 1e-1;
+/// Relative residuals count up to this.
+const CAPPED: f64 = 1.5;
+/// Weight of the condition on the mean light.
+const NORMALISED: f64 = 10.0;
+
+/// What the search knows of the scene.
+#[derive(Clone, Copy)]
+pub struct Search<'a> {
+    /// Mesh.
+    pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub scene: &'a RayScene,
+    /// The model that a lamp is added to.
+    pub rows: Rows<'a>,
+}
+
+impl Search<'_> {
+    /// The best place, seen as a point; `None` where no place explains anything.
+    #[must_use]
+    pub fn best_place(&self) -> Option<Vec3> {
+        let luminance = |rgb: &[f64; 3]| 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
+        let values = Values::new(&self.rows, luminance);
+        let without = solve::solve_channel(&self.rows, &values, REGULARISATION);
+        let (low, high) = samples::bounds(self.mesh);
+        let margin = MARGIN * (high - low).max_element();
+        let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
+        let mut places: Vec<Vec3> = Vec::new();
+        for x in 0..LATTICE[0] {
+            for y in 0..LATTICE[1] {
+                for z in 0..LATTICE[2] {
+                    places.push(low - margin + step * Vec3::new(x as f32, y as f32, z as f32));
+                }
+            }
+        }
+        let gains = self.gains(&values, &without, &places);
+        let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
+        order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
+        let mut tried: Vec<(f64, Vec3)> = Vec::new();
+        for i in order {
+            if tried.iter().all(|(_, p)| ((places[i] - *p) / step).length() > APART) {
+                tried.push((self.cost(&values, places[i]), places[i]));
+            }
+            if tried.len() >= SOLVED {
+                break;
+            }
+        }
+        let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(self.refined(&values, best, step.min_element()))
+    }
+
+    /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
+    fn gains(&self, values: &Values, without: &Channel, places: &[Vec3]) -> Vec<f64> {
+        let Rows { samples, columns, shared, .. } = self.rows;
+        let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
+        let stride = fitted.len().div_ceil(LATTICE_SAMPLES).max(1);
+        let few: Vec<usize> = fitted.into_iter().step_by(stride).collect();
+        let total: f64 = few.iter().map(|n| samples.weight[*n]).sum();
+        let explained = |n: usize| values.color[n] / without.albedo[samples.segment[n] as usize].max(1e-30);
+        let mean = few.iter().map(|n| samples.weight[*n] * explained(*n)).sum::<f64>() / total.max(1e-30);
+        let size = |n: usize| (0.5 * (explained(n) + without.irradiance[n])).max(DARK_FLOOR * mean);
+        // Columns of the model: light at low order, lamps and emitters, secondary light.
+        let dim = columns + 1;
+        let entry = |n: usize, j: usize| {
+            if j < columns { f64::from(shared[n * columns + j]) } else { values.secondary[n] }
+        };
+        let rows = DMatrix::from_fn(few.len(), dim, |n, j| entry(few[n], j));
+        let weights: Vec<f64> = few.iter().map(|n| samples.weight[*n] / (size(*n) * size(*n))).collect();
+        let relative: Vec<f64> = few.iter().map(|n| samples.weight[*n] / (size(*n) * total)).collect();
+        let mut squares = vec![0.0; samples.segments];
+        let mut crosses = vec![DVector::<f64>::zeros(dim); samples.segments];
+        let mut gram = DMatrix::<f64>::zeros(dim, dim);
+        let mut level = DVector::<f64>::zeros(dim);
+        for (r, &n) in few.iter().enumerate() {
+            let (s, f) = (samples.segment[n] as usize, values.color[n]);
+            let row = rows.row(r).transpose();
+            squares[s] += weights[r] * f * f;
+            crosses[s].axpy(weights[r] * f, &row, 1.0);
+            gram.ger(weights[r], &row, &row, 1.0);
+            level.axpy(relative[r], &row, 1.0);
+        }
+        for (square, cross) in squares.iter().zip(&crosses).filter(|(s, _)| **s > 0.0) {
+            gram.ger(-1.0 / square, cross, cross, 1.0);
+        }
+        let held = NORMALISED * total;
+        gram.ger(held, &level, &level, 1.0);
+        let ridge = 1e-6 * gram.trace() / dim as f64;
+        (0..dim).for_each(|j| gram[(j, j)] += ridge);
+        let Some(factor) = gram.cholesky() else { return vec![0.0; places.len()] };
+        let base = factor.solve(&(&level * held));
+        let vertices: Vec<u32> = few.iter().map(|n| samples.vertex[*n]).collect();
+        places
+            .par_iter()
+            .map(|place| {
+                let sphere = Sphere { center: *place, radius: 0.0 };
+                let column: Vec<f64> = vertices
+                    .iter()
+                    .map(|&i| f64::from(lamps::form_factor(self.mesh, self.scene, i as usize, &sphere, 1)))
+                    .collect();
+                let mut lamp_cross = vec![0.0; samples.segments];
+                let (mut square, mut lamp_level) = (0.0, 0.0);
+                let mut cross = DVector::<f64>::zeros(dim);
+                for (r, &n) in few.iter().enumerate().filter(|(r, _)| column[*r] > 0.0) {
+                    lamp_cross[samples.segment[n] as usize] += weights[r] * values.color[n] * column[r];
+                    square += weights[r] * column[r] * column[r];
+                    lamp_level += relative[r] * column[r];
+                    let scale = weights[r] * column[r];
+                    cross.iter_mut().zip(rows.row(r).iter()).for_each(|(c, x)| *c += scale * x);
+                }
+                let whole = square;
+                for ((l, s), c) in lamp_cross.iter().zip(&squares).zip(&crosses).filter(|((l, _), _)| **l > 0.0) {
+                    square -= l * l / s;
+                    cross.axpy(-l / s, c, 1.0);
+                }
+                cross.axpy(held * lamp_level, &level, 1.0);
+                square += held * lamp_level * lamp_level;
+                let left = square - cross.dot(&factor.solve(&cross));
+                let power = (held * lamp_level - cross.dot(&base)) / left;
+                if left > 1e-9 * whole && power > 0.0 { power * power * left } else { 0.0 }
+            })
+            .collect()
+    }
+
+    /// Mean capped residual of the model with a lamp at this place.
+    fn cost(&self, values: &Values, place: Vec3) -> f64 {
+        let samples = self.rows.samples;
+        let sphere = Sphere { center: place, radius: 0.0 };
+        let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere, 1);
+        let (shared, columns) = self.rows.with_column(&column);
+        let rows = Rows { shared: &shared, columns, ..self.rows };
+        let solved = solve::solve_channel(&rows, values, REGULARISATION);
+        let mean: f64 = solved.irradiance.iter().zip(&samples.weight).map(|(e, w)| e * w).sum::<f64>()
+            / samples.weight.iter().sum::<f64>().max(1e-30);
+        let (mut sum, mut total) = (0.0, 0.0);
+        for n in (0..samples.len()).filter(|n| samples.held_out[*n].is_none()) {
+            let explained = values.color[n] / solved.albedo[samples.segment[n] as usize].max(1e-30);
+            let size = (0.5 * (explained + solved.irradiance[n])).max(DARK_FLOOR * mean);
+            sum += samples.weight[n] * ((explained - solved.irradiance[n]).abs() / size).min(CAPPED);
+            total += samples.weight[n];
+        }
+        if total > 0.0 { sum / total } else { f64::INFINITY }
+    }
+
+    /// Nelder and Mead's simplex, from a place of the lattice.
+    fn refined(&self, values: &Values, from: (f64, Vec3), step: f32) -> Vec3 {
+        let cost = |place: Vec3| (self.cost(values, place), place);
+        let mut simplex = vec![from];
+        simplex.extend([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
+        let mut evaluations = 3;
+        while evaluations < EVALUATIONS {
+            simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let edge = simplex.iter().map(|v| v.1.distance(simplex[0].1)).fold(0.0, f32::max);
+            if edge < SETTLED * step {
+                break;
+            }
+            let center = (simplex[0].1 + simplex[1].1 + simplex[2].1) / 3.0;
+            let worst = simplex[3];
+            let reflected = cost(center + (center - worst.1));
+            evaluations += 1;
+            if reflected.0 < simplex[0].0 {
+                let expanded = cost(center + (center - worst.1) * 2.0);
+                evaluations += 1;
+                simplex[3] = if expanded.0 < reflected.0 { expanded } else { reflected };
+            } else if reflected.0 < simplex[2].0 {
+                simplex[3] = reflected;
+            } else {
+                let toward = if reflected.0 < worst.0 { reflected.1 } else { worst.1 };
+                let contracted = cost(center + (toward - center) * 0.5);
+                evaluations += 1;
+                if contracted.0 < worst.0.min(reflected.0) {
+                    simplex[3] = contracted;
+                } else {
+                    let best = simplex[0].1;
+                    simplex.iter_mut().skip(1).for_each(|v| *v = cost(best + (v.1 - best) * 0.5));
+                    evaluations += 3;
+                }
+            }
+        }
+        simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
+        simplex[0].1
+    }
+}

@@ -1,0 +1,400 @@
+//! Light of every kind and the segments' albedo from lit colours: one small least-squares problem a channel.
+//!
+//! With b = 1/albedo of a segment, `f b − Σ t i − Σ P g − Σ F E − k G = 0` is linear in everything (N5). Rows are divided by
+//! the light there, in a few rounds. Every row has one b, so that the b are eliminated segment by segment
+//! (`H = Σ_s C_s − B_s B_sᵀ / D_s`) and a quadratic form in the light alone is left. Zero would solve it, so the mean light
+//! is held at 1; the coefficient k of the secondary light, which is known in units of f, then fixes the absolute scale.
+
+use crate::factorisation::directions;
+use crate::light_model::samples::{DARK_FLOOR, Samples};
+use crate::numerics::robust::robust_sigma;
+use crate::numerics::sh;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+
+/// Rounds in which rows are divided by the light of the round before.
+const ROUNDS: usize = 5;
+/// Residuals beyond this many robust standard deviations count less (Huber).
+const HUBER: f64 = 1.5;
+/// Weight of the condition that holds the mean light at 1, against the sum of the rows' weights.
+const NORMALISED: f64 = 10.0;
+/// Sweeps of the non-negative solver at most.
+const SWEEPS: usize = 300;
+/// Directions that the surfaces tell less of than this share of the best observed one are held at the mean by more.
+const MIN_OBSERVABILITY: f64 = 5e-3;
+/// Lit colours of neighbouring vertices err together: so many samples' weight counts as one measurement.
+const CORRELATED: f64 = 25.0;
+/// Albedo of the brightest large segment where no secondary light fixes the scale, and its deviation.
+const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
+/// A segment of this share of all weight is large.
+const LARGE: f64 = 0.02;
+/// Albedo of that segment at most.
+const MAX_ALBEDO: f64 = 0.95;
+/// Relative errors count up to this.
+const CAPPED: f64 = 1.0;
+
+/// Rows of (N5): `shared` is `[sample][columns]`, SH transfer first (`coefficients`), then lamps and emitters; `secondary`
+/// is G per channel.
+#[derive(Debug, Clone, Copy)]
+pub struct Rows<'a> {
+    /// Sampled vertices.
+    pub samples: &'a Samples,
+    /// SH columns.
+    pub coefficients: usize,
+    /// All columns that the channels share.
+    pub columns: usize,
+    /// Their values.
+    pub shared: &'a [f32],
+    /// Secondary light as it was observed.
+    pub secondary: &'a [[f64; 3]],
+}
+
+/// What the rows say.
+#[derive(Debug, Clone)]
+pub struct Solved {
+    /// SH coefficients, then powers of lamps and radiances of emitters, in units of f: `[column][channel]`.
+    pub light: Vec<[f64; 3]>,
+    /// Posterior standard deviation, same shape.
+    pub standard_deviation: Vec<[f64; 3]>,
+    /// Non-negative radiance over [`directions`].
+    pub radiance: Vec<[f64; 3]>,
+    /// Albedo per segment, absolute.
+    pub albedo: Vec<[f64; 3]>,
+    /// Irradiance over π of every sample.
+    pub irradiance: Vec<[f64; 3]>,
+}
+
+impl Solved {
+    /// Relative error of every sample against lit colours, capped.
+    fn error(&self, samples: &Samples, n: usize) -> f64 {
+        relative_error(samples, n, &self.albedo[samples.segment[n] as usize], &self.irradiance[n])
+    }
+
+    /// Mean relative error over the blocks that were held out, block by block: (block, sum, weight).
+    #[must_use]
+    pub fn held_out(&self, samples: &Samples) -> Vec<(u32, f64, f64)> {
+        blocks(samples, |n| self.error(samples, n))
+    }
+}
+
+/// |f − a E| relative to f, but not below a share of the segment's median; mean over the channels, capped.
+#[must_use]
+pub fn relative_error(samples: &Samples, n: usize, albedo: &[f64; 3], irradiance: &[f64; 3]) -> f64 {
+    let (f, medians) = (samples.color[n], samples.medians[samples.segment[n] as usize]);
+    let size = (f.iter().sum::<f64>()).max(DARK_FLOOR * medians.iter().sum::<f64>()) / 3.0;
+    let off = (0..3).map(|c| (f[c] - albedo[c] * irradiance[c]).abs()).sum::<f64>() / 3.0;
+    (off / size.max(f64::MIN_POSITIVE)).min(CAPPED)
+}
+
+/// Sums an error over every block that is held out.
+pub fn blocks(samples: &Samples, error: impl Fn(usize) -> f64) -> Vec<(u32, f64, f64)> {
+    let mut sums = std::collections::BTreeMap::<u32, (f64, f64)>::new();
+    for n in 0..samples.len() {
+        if let Some(block) = samples.held_out[n] {
+            let sum = sums.entry(block).or_default();
+            sum.0 += samples.weight[n] * error(n);
+            sum.1 += samples.weight[n];
+        }
+    }
+    sums.into_iter().map(|(block, (sum, weight))| (block, sum, weight)).collect()
+}
+
+/// Solves every channel with this weight of the regularisation towards the mean radiance.
+#[must_use]
+pub fn solve(rows: &Rows, regularisation: f64) -> Solved {
+    let projection = projection(rows.coefficients);
+    let channels: Vec<Channel> = [0, 1, 2]
+        .into_par_iter()
+        .map(|c| solve_projected(rows, &Values::new(rows, |rgb| rgb[c]), &projection, regularisation))
+        .collect();
+    let zip = |count: usize, get: &dyn Fn(&Channel, usize) -> f64| -> Vec<[f64; 3]> {
+        (0..count).map(|i| [0, 1, 2].map(|c| get(&channels[c], i))).collect()
+    };
+    Solved {
+        light: zip(rows.columns, &|c, i| c.light[i]),
+        standard_deviation: zip(rows.columns, &|c, i| c.standard_deviation[i]),
+        radiance: zip(projection.ncols(), &|c, i| c.radiance[i]),
+        albedo: zip(rows.samples.segments, &|c, i| c.albedo[i]),
+        irradiance: zip(rows.samples.len(), &|c, i| c.irradiance[i]),
+    }
+}
+
+/// Solves one channel, or a mean of the channels.
+#[must_use]
+pub fn solve_channel(rows: &Rows, values: &Values, regularisation: f64) -> Channel {
+    solve_projected(rows, values, &projection(rows.coefficients), regularisation)
+}
+
+/// SH coefficients of unit radiance from each of the directions, times its solid angle.
+fn projection(coefficients: usize) -> DMatrix<f64> {
+    let all = directions();
+    let mut project = DMatrix::zeros(coefficients, all.len());
+    let mut y = vec![0.0; coefficients];
+    for (d, direction) in all.iter().enumerate() {
+        if coefficients > 0 {
+            sh::eval(*direction, &mut y);
+        }
+        let solid_angle = 4.0 * std::f64::consts::PI / all.len() as f64;
+        project.column_mut(d).iter_mut().zip(&y).for_each(|(p, y)| *p = y * solid_angle);
+    }
+    project
+}
+
+/// Colours of one channel: `[sample]`, and `[segment]` for the medians.
+#[derive(Debug, Clone)]
+pub struct Values {
+    /// Lit colour f.
+    pub color: Vec<f64>,
+    /// Median lit colour of each segment.
+    pub medians: Vec<f64>,
+    /// G of (N3).
+    pub secondary: Vec<f64>,
+}
+
+impl Values {
+    /// Takes `channel` of every colour.
+    pub fn new(rows: &Rows, channel: impl Fn(&[f64; 3]) -> f64) -> Self {
+        Self {
+            color: rows.samples.color.iter().map(&channel).collect(),
+            medians: rows.samples.medians.iter().map(&channel).collect(),
+            secondary: rows.secondary.iter().map(&channel).collect(),
+        }
+    }
+}
+
+/// What the rows say of one channel, in units of f.
+#[derive(Debug, Clone)]
+pub struct Channel {
+    /// `[column]`.
+    pub light: Vec<f64>,
+    /// Posterior standard deviation of `light`.
+    pub standard_deviation: Vec<f64>,
+    /// Over [`directions`].
+    pub radiance: Vec<f64>,
+    /// `[segment]`.
+    pub albedo: Vec<f64>,
+    /// Irradiance over π: `[sample]`.
+    pub irradiance: Vec<f64>,
+}
+
+fn solve_projected(rows: &Rows, values: &Values, projection: &DMatrix<f64>, regularisation: f64) -> Channel {
+    let Rows { samples, coefficients, columns, shared, .. } = *rows;
+    let Values { color, medians, secondary } = values;
+    let (count, dim) = (samples.len(), columns + 1);
+    let fitted: Vec<usize> = (0..count).filter(|n| samples.held_out[*n].is_none()).collect();
+    let total: f64 = fitted.iter().map(|n| samples.weight[*n]).sum();
+    let brightest = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
+    let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * brightest)).collect();
+    let mut irradiance = vec![1.0; count];
+    let mut solution = DVector::zeros(dim);
+    let mut radiance = DVector::from_element(projection.ncols(), 1.0);
+    let mut deviation = vec![f64::INFINITY; dim];
+    let mut row = vec![0.0; dim];
+    for round in 0..ROUNDS {
+        let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
+        let size = |n: usize| (0.5 * (explained(n) + irradiance[n])).max(DARK_FLOOR);
+        let relative = |n: usize| (explained(n) - irradiance[n]).abs() / size(n);
+        let sigma = if round == 0 { 0.5 } else { robust_sigma(fitted.iter().map(|n| relative(*n))).max(1e-4) };
+        let mut statistics = Statistics::new(samples.segments, dim);
+        let mut mean = DVector::zeros(dim);
+        for &n in &fitted {
+            row[..columns].iter_mut().zip(&shared[n * columns..]).for_each(|(r, t)| *r = f64::from(*t));
+            row[columns] = secondary[n];
+            let huber = if round == 0 { 1.0 } else { HUBER * sigma / relative(n).max(HUBER * sigma) };
+            let weight = samples.weight[n] * huber / (size(n) * size(n));
+            statistics.add(samples.segment[n] as usize, weight, color[n], &row);
+            let share = samples.weight[n] / (size(n) * total);
+            mean.iter_mut().zip(&row).for_each(|(m, r)| *m += share * r);
+        }
+        if statistics.square.iter().all(|s| *s <= 0.0) {
+            break;
+        }
+        let reduced = statistics.reduced();
+        let mut problem = NonNegative {
+            cross: &mean * (NORMALISED * total),
+            gram: reduced.clone(),
+            projection,
+            extras: dim - coefficients,
+            last_at_most: MAX_ALBEDO / statistics.brightest(&inverse),
+        };
+        problem.gram.ger(NORMALISED * total, &mean, &mean, 1.0);
+        // Scale: the brightest large segment's albedo is k / b, known beforehand within some deviation.
+        let noise = CORRELATED * sigma * sigma;
+        let per = statistics.brightest(&inverse) / PRIOR_ALBEDO.1;
+        problem.gram[(columns, columns)] += noise * per * per;
+        problem.cross[columns] += noise * per * PRIOR_ALBEDO.0 / PRIOR_ALBEDO.1;
+        solution = problem.solve(regularisation * total, &mut radiance, &solution);
+        let scale = mean.dot(&solution);
+        if scale > 0.0 {
+            solution /= scale;
+            radiance /= scale;
+        }
+        statistics.update_inverse_albedo(&solution, &mut inverse);
+        for (n, e) in irradiance.iter_mut().enumerate() {
+            let shared = &shared[n * columns..(n + 1) * columns];
+            let sum: f64 = shared.iter().zip(solution.iter()).map(|(t, x)| f64::from(*t) * x).sum();
+            *e = (sum + secondary[n] * solution[columns]).max(0.0);
+        }
+        if round + 1 == ROUNDS {
+            let prior = regularisation * total / (4.0 * std::f64::consts::PI);
+            deviation = posterior(reduced, noise, prior, coefficients);
+        }
+    }
+    // Into units of f: the secondary light's coefficient is 1 there.
+    let least = inverse.iter().copied().fold(f64::INFINITY, f64::min);
+    let k = if solution[columns] > 1e-6 * least { solution[columns] } else { PRIOR_ALBEDO.0 * least };
+    Channel {
+        light: solution.iter().take(columns).map(|x| x / k).collect(),
+        standard_deviation: deviation.iter().take(columns).map(|x| x / k).collect(),
+        radiance: radiance.iter().map(|x| x / k).collect(),
+        albedo: inverse.iter().map(|b| k / b).collect(),
+        irradiance: irradiance.iter().map(|e| e / k).collect(),
+    }
+}
+
+/// Standard deviation of every coefficient: noise variance times the inverse of the system with its prior, which only the
+/// first `coefficients` have.
+fn posterior(mut gram: DMatrix<f64>, noise: f64, prior: f64, coefficients: usize) -> Vec<f64> {
+    let dim = gram.nrows();
+    let least = 1e-9 * gram.trace() / dim as f64;
+    (0..dim).for_each(|j| gram[(j, j)] += least + if j < coefficients { prior } else { 0.0 });
+    match gram.cholesky() {
+        Some(factor) => factor.inverse().diagonal().iter().map(|v| libm::sqrt(noise * v.max(0.0))).collect(),
+        None => vec![f64::INFINITY; dim],
+    }
+}
+
+/// Sufficient statistics per segment: Σ w f², Σ w f t, and Σ w t tᵀ over all.
+struct Statistics {
+    square: Vec<f64>,
+    weight: Vec<f64>,
+    cross: Vec<DVector<f64>>,
+    gram: DMatrix<f64>,
+}
+
+impl Statistics {
+    fn new(segments: usize, dim: usize) -> Self {
+        Self {
+            square: vec![0.0; segments],
+            weight: vec![0.0; segments],
+            cross: vec![DVector::zeros(dim); segments],
+            gram: DMatrix::zeros(dim, dim),
+        }
+    }
+
+    fn add(&mut self, segment: usize, weight: f64, color: f64, row: &[f64]) {
+        self.square[segment] += weight * color * color;
+        self.weight[segment] += weight;
+        self.cross[segment].iter_mut().zip(row).for_each(|(c, t)| *c += weight * color * t);
+        for (j, t) in row.iter().enumerate() {
+            let scaled = weight * t;
+            self.gram.column_mut(j).iter_mut().zip(row).take(j + 1).for_each(|(g, r)| *g += scaled * r);
+        }
+    }
+
+    /// The form in the light alone.
+    fn reduced(&self) -> DMatrix<f64> {
+        let mut gram = self.gram.clone();
+        gram.fill_lower_triangle_with_upper_triangle();
+        for (square, cross) in self.square.iter().zip(&self.cross) {
+            if *square > 0.0 {
+                gram.ger(-1.0 / square, cross, cross, 1.0);
+            }
+        }
+        gram
+    }
+
+    /// 1/b of the brightest segment that is large.
+    fn brightest(&self, inverse: &[f64]) -> f64 {
+        let weights: f64 = self.weight.iter().sum();
+        let large = self.weight.iter().zip(inverse).filter(|(w, _)| **w >= LARGE * weights);
+        large.map(|(_, b)| 1.0 / b.max(1e-30)).fold(f64::MIN_POSITIVE, f64::max)
+    }
+
+    /// b of every segment under this light.
+    fn update_inverse_albedo(&self, light: &DVector<f64>, inverse: &mut [f64]) {
+        for ((b, square), cross) in inverse.iter_mut().zip(&self.square).zip(&self.cross) {
+            let explained = cross.dot(light);
+            if *square > 0.0 && explained > 0.0 {
+                *b = explained / square;
+            }
+        }
+    }
+}
+
+/// `min ½ zᵀ H z − gᵀ z` where the first entries of z are `projection · r` with r ≥ 0 and the `extras` others are ≥ 0.
+struct NonNegative<'a> {
+    gram: DMatrix<f64>,
+    cross: DVector<f64>,
+    projection: &'a DMatrix<f64>,
+    extras: usize,
+    /// Upper bound of the last entry.
+    last_at_most: f64,
+}
+
+impl NonNegative<'_> {
+    fn solve(&self, strength: f64, r: &mut DVector<f64>, start: &DVector<f64>) -> DVector<f64> {
+        let k = self.projection.nrows();
+        let dim = self.gram.nrows();
+        let directions = if k > 0 { r.len() } else { 0 };
+        let columns = self.gram.columns(0, k) * self.projection;
+        let observed: Vec<f64> =
+            (0..directions).map(|d| self.projection.column(d).dot(&columns.column(d).rows(0, k)).max(0.0)).collect();
+        let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
+        let mut z = start.clone();
+        z.rows_mut(0, k).copy_from(&(self.projection * &*r));
+        let mut gradient = &self.gram * &z - &self.cross;
+        let strength = strength / directions.max(1) as f64;
+        for _ in 0..SWEEPS {
+            let (mut moved, mut size) = (0.0, 0.0);
+            let mean = r.mean();
+            for d in 0..directions {
+                let strength = strength * (1.0 + least / observed[d].max(1e-4 * least));
+                let diagonal = observed[d] + strength;
+                if diagonal <= 0.0 {
+                    continue;
+                }
+                let slope = self.projection.column(d).dot(&gradient.rows(0, k)) + strength * (r[d] - mean);
+                let step = (r[d] - slope / diagonal).max(0.0) - r[d];
+                if step != 0.0 {
+                    r[d] += step;
+                    gradient.axpy(step, &columns.column(d), 1.0);
+                    moved += step * step * observed[d];
+                }
+                size += r[d] * r[d] * observed[d];
+            }
+            for j in dim - self.extras..dim {
+                let diagonal = self.gram[(j, j)];
+                if diagonal <= 0.0 {
+                    continue;
+                }
+                let most = if j + 1 == dim { self.last_at_most } else { f64::INFINITY };
+                let step = (z[j] - gradient[j] / diagonal).clamp(0.0, most) - z[j];
+                if step != 0.0 {
+                    z[j] += step;
+                    gradient.axpy(step, &self.gram.column(j), 1.0);
+                    moved += step * step * diagonal;
+                }
+                size += z[j] * z[j] * diagonal;
+            }
+            if moved <= 1e-12 * size {
+                break;
+            }
+        }
+        z.rows_mut(0, k).copy_from(&(self.projection * &*r));
+        z
+    }
+}
+
+impl Rows<'_> {
+    /// The shared values with one more column at the end, and the number of columns.
+    #[must_use]
+    pub fn with_column(&self, column: &[f32]) -> (Vec<f32>, usize) {
+        let mut shared = Vec::with_capacity(self.shared.len() + column.len());
+        for (n, value) in column.iter().enumerate() {
+            shared.extend_from_slice(&self.shared[n * self.columns..(n + 1) * self.columns]);
+            shared.push(*value);
+        }
+        (shared, self.columns + 1)
+    }
+}

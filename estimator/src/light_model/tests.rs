@@ -1,0 +1,118 @@
+//! A desk with a box in a corner of two walls, under a lamp or under a uniform sky: lit colours as the model makes them.
+
+use crate::factorisation::{Colors, FactorisationOptions, factorise};
+use crate::light_model::choose::{self, Near};
+use crate::light_model::lamps::{self, Sphere};
+use crate::light_model::secondary::secondary;
+use crate::rays::RayScene;
+use crate::transfer::{Traced, Tracer};
+use firmware_config::SolverChoice;
+use firmware_config::tuning::FactorisationTuning;
+use glam::Vec3;
+use recordings::decision::Decision;
+use recordings::local_light::LightModel;
+use recordings::types::Mesh;
+use std::sync::Arc;
+
+const LAMP: Sphere = Sphere { center: Vec3::new(0.62, 0.55, 0.7), radius: 0.03 };
+const ALBEDO: [Vec3; 4] =
+    [Vec3::new(0.5, 0.35, 0.2), Vec3::new(0.7, 0.7, 0.65), Vec3::new(0.6, 0.2, 0.2), Vec3::new(0.2, 0.4, 0.6)];
+
+/// A square of `n` × `n` cells with its normal along `x` × `y`; its segment is appended for every vertex.
+fn square(mesh: &mut Mesh, segment: &mut Vec<u32>, of: u32, [origin, x, y]: [Vec3; 3], n: u32) {
+    let first = mesh.positions.len() as u32;
+    for i in 0..=n {
+        for j in 0..=n {
+            mesh.positions.push(origin + x * (i as f32 / n as f32) + y * (j as f32 / n as f32));
+            mesh.normals.push(x.cross(y).normalize());
+            segment.push(of);
+        }
+    }
+    for i in 0..n {
+        for j in 0..n {
+            let a = first + i * (n + 1) + j;
+            mesh.triangles.extend([[a, a + n + 1, a + 1], [a + 1, a + n + 1, a + n + 2]]);
+        }
+    }
+}
+
+fn desk() -> (Mesh, Vec<u32>) {
+    let (mut mesh, mut segment) = (Mesh::default(), Vec::new());
+    let mut add = |of, corners, n| square(&mut mesh, &mut segment, of, corners, n);
+    add(0, [Vec3::ZERO, Vec3::X, Vec3::Y], 40);
+    add(1, [Vec3::ZERO, Vec3::Y, Vec3::Z], 30);
+    add(1, [Vec3::ZERO, Vec3::Z, Vec3::X], 30);
+    let (low, edge) = (Vec3::new(0.3, 0.35, 0.0), 0.22);
+    let (x, y, z) = (Vec3::X * edge, Vec3::Y * edge, Vec3::Z * edge);
+    add(2, [low + z, x, y], 12);
+    add(2, [low + x, y, z], 12);
+    add(2, [low + y, z, x], 12);
+    add(3, [low, x, z], 12);
+    add(3, [low, z, y], 12);
+    (mesh, segment)
+}
+
+/// Lit colours under `direct` irradiance over π and all bounces.
+fn lit(traced: &Traced, segment: &[u32], direct: &[Vec3]) -> Vec<Vec3> {
+    let reflected =
+        |e: &[Vec3]| -> Vec<Vec3> { segment.iter().zip(e).map(|(s, e)| ALBEDO[*s as usize] * *e).collect() };
+    let mut f = reflected(direct);
+    for _ in 0..12 {
+        let arriving: Vec<Vec3> = (0..f.len()).map(|i| direct[i] + secondary(traced, &f, i)).collect();
+        f = reflected(&arriving);
+    }
+    f
+}
+
+fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<Near>, Decision, Vec<u32>) {
+    let (mesh, segment) = desk();
+    let scene = RayScene::new(&mesh);
+    let traced = Arc::new(Tracer { mesh: &mesh, scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()));
+    let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
+    let lit_color = lit(&traced, &segment, &direct);
+    let weight = vec![1.0; lit_color.len()];
+    let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: ALBEDO.len() };
+    let tuning = FactorisationTuning::default();
+    let options = FactorisationOptions {
+        gi: true,
+        bands: 3,
+        max_bands: 3,
+        bounces: 0,
+        solver: SolverChoice::Robust,
+        tuning: &tuning,
+    };
+    let found = factorise(Arc::clone(&traced), &colors, &options, None);
+    let clipped = vec![false; lit_color.len()];
+    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, clipped: &clipped };
+    let (near, decision) = choose::choose(&parts, &found, &tuning);
+    (near, decision, segment)
+}
+
+#[test]
+fn a_lamp_beside_the_scene_is_found_where_it_is() {
+    let power = Vec3::new(0.5, 0.4, 0.3);
+    let (near, decision, segment) = chosen(|mesh, scene, traced, i| {
+        let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.1;
+        power * lamps::form_factor(mesh, scene, i, &LAMP, 8) + Vec3::splat(sky)
+    });
+    let near = near.unwrap_or_else(|| panic!("distant light was kept: {decision:?}"));
+    assert_eq!(near.light.model, LightModel::Lamps, "{decision:?}");
+    let lamp = near.light.lamps[0];
+    let off = Vec3::from_array(lamp.center).distance(LAMP.center);
+    assert!(off < 0.03, "{off} m from its place");
+    let wrong: Vec<f32> = segment
+        .iter()
+        .zip(&near.detail.albedo)
+        .map(|(s, a)| (*a / ALBEDO[*s as usize] - 1.0).abs().max_element())
+        .collect();
+    let median = crate::numerics::robust::median(wrong).unwrap_or(1.0);
+    assert!(median < 0.1, "albedo off by {median}, its scale included");
+}
+
+#[test]
+fn a_uniform_sky_stays_distant() {
+    let (near, decision, _) = chosen(|_, _, traced, i| {
+        Vec3::new(1.0, 0.9, 0.8) * traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI
+    });
+    assert!(near.is_none(), "{decision:?}");
+}
