@@ -21,7 +21,7 @@ fn a_sphere_lights_a_plane_as_the_formula_says() {
     let scene = plane().with_emitters(vec![sphere], &[]);
     let exchange = Exchange::trace(&scene, 256, 1, 2);
     let found = exchange.direct_near(&scene, &scene.emitters, 2);
-    for (p, found) in scene.mesh.positions.iter().zip(&found) {
+    for (p, found) in exchange.origins().iter().zip(&found) {
         let to = sphere.center - *p;
         // E/π = L r² cos θ / d² for a sphere that is wholly above the plane.
         let expected = sphere.radiance * (0.01 * to.z / to.length() / to.length_squared());
