@@ -20,8 +20,8 @@ pub struct Figures {
     pub given_pose_px: f64,
     /// The same for the poses found.
     pub pose_px: f64,
-    /// Share of the vertices whose albedo has a confidence above 0.
-    pub confident: f64,
+    /// Share of the vertices that have a colour (confidence above 0).
+    pub covered: f64,
     /// Relative error of the albedo.
     pub albedo: AlbedoError,
     /// Median and 90th percentile of the relative error of irradiance at the reference vertices, interreflection included.
@@ -38,7 +38,7 @@ pub struct Figures {
 /// The mesh is another one, or a file of the truth is missing or damaged.
 #[must_use]
 pub fn evaluate(truth: &Truth, scan: &Scan, found: &Estimate) -> Figures {
-    assert_eq!(found.mesh.positions.len(), truth.mesh.positions.len(), "an imported mesh keeps its vertices");
+    assert_eq!(found.mesh.positions, truth.mesh.positions, "an imported mesh keeps its vertices");
     let seen: Vec<usize> = (0..truth.seen.len()).filter(|&i| truth.seen[i] >= 2).collect();
     let albedo: Vec<[f64; 3]> = found.albedo.iter().map(|a| a.to_array().map(f64::from)).collect();
     let pick = |labels: &[u32]| seen.iter().map(|&i| labels[i]).collect::<Vec<u32>>();
@@ -48,7 +48,7 @@ pub fn evaluate(truth: &Truth, scan: &Scan, found: &Estimate) -> Figures {
         exposure: exposure_error(truth, found),
         given_pose_px: pose_error(truth, scan, &given),
         pose_px: pose_error(truth, scan, &poses),
-        confident: seen.iter().filter(|&&i| found.confidence[i] > 0.0).count() as f64 / seen.len() as f64,
+        covered: seen.iter().filter(|&&i| found.confidence[i] > 0.0).count() as f64 / seen.len() as f64,
         albedo: metrics::albedo(&albedo, &truth.albedo, &truth.material, |i| truth.seen[i] >= 2),
         irradiance: metrics::scene_irradiance(&truth.transfer().gi, &found.light.coefficients, &truth.light),
         ari: metrics::adjusted_rand_index(&pick(&truth.material), &pick(&found.segment)),

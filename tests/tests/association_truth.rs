@@ -40,19 +40,6 @@ fn sharpness(truth: &Truth, color: &[Vec3], weight: &[f32]) -> f64 {
     steep.iter().map(|s| s[0] * s[1]).sum::<f64>() / steep.iter().map(|s| s[0] * s[0]).sum::<f64>()
 }
 
-/// Vertices that two keyframes see have a colour.
-#[test]
-#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the scenes of truth/")]
-fn visible_vertices_have_a_colour() {
-    for name in ["ball", "bunny", "fruits"] {
-        let (truth, association) = associated(name, &EstimatorConfig::default());
-        let seen = || (0..truth.seen.len()).filter(|&i| truth.seen[i] >= 2);
-        let covered = seen().filter(|&i| association.lit_weight[i] > 0.0).count() as f64 / seen().count() as f64;
-        println!("{name}: covered {covered:.4}");
-        assert!(covered >= 0.95, "{name}: {covered}");
-    }
-}
-
 /// The paper's Fig. 3: colours fused as they come, frame by frame from the given poses, are a blur beside what
 /// association makes of the same pictures.
 #[test]
