@@ -3,6 +3,7 @@
 use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
 use crate::export::glb::light::light;
+use crate::export::glb::local_light;
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, ResultKeyframe, Segment};
 use serde_json::{Value, json};
@@ -34,17 +35,24 @@ pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
     let primitives = primitives(result, &mut buffer);
     let mut nodes = vec![json!({ "name": result.name, "mesh": 0 })];
     nodes.extend(result.keyframes.iter().enumerate().map(|(index, keyframe)| camera_node(index, keyframe)));
+    let (lamps, emitters) = (&result.local_light.lamps, &result.local_light.emitters);
+    nodes.extend(lamps.iter().enumerate().map(|(index, lamp)| local_light::lamp_node(index, lamp, turned)));
     let (images, light) = light(result, &mut buffer)?;
+    let mut extensions = vec!["KHR_materials_specular", "EXT_lights_image_based"];
+    extensions.extend((!lamps.is_empty()).then_some("KHR_lights_punctual"));
+    extensions.extend((!emitters.is_empty()).then_some("KHR_materials_emissive_strength"));
+    let segments = result.segments.iter().enumerate().map(|(i, s)| material(i, s));
+    let materials = segments.chain(emitters.iter().enumerate().map(|(i, e)| local_light::material(i, e)));
     let mut root = json!({
         "asset": { "version": "2.0", "generator": "lumiscan" },
-        "extensionsUsed": ["KHR_materials_specular", "EXT_lights_image_based"],
+        "extensionsUsed": extensions,
         "scene": 0,
         "scenes": [{
             "nodes": (0..nodes.len()).collect::<Vec<_>>(), "extensions": { "EXT_lights_image_based": { "light": 0 } },
         }],
         "nodes": nodes,
         "meshes": [{ "name": result.name, "primitives": primitives }],
-        "materials": result.segments.iter().enumerate().map(|(i, s)| material(i, s)).collect::<Vec<_>>(),
+        "materials": materials.collect::<Vec<_>>(),
         "accessors": buffer.accessors,
         "images": images,
         "extensions": { "EXT_lights_image_based": { "lights": [light] } },
@@ -54,6 +62,10 @@ pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
     if !result.keyframes.is_empty() {
         root["cameras"] = result.keyframes.iter().map(camera).collect();
     }
+    if !lamps.is_empty() {
+        root["extensions"]["KHR_lights_punctual"] =
+            json!({ "lights": lamps.iter().map(local_light::point_light).collect::<Vec<_>>() });
+    }
     Ok(pack(&root, &buffer.bytes))
 }
 
@@ -62,7 +74,7 @@ fn turned(p: Vec3) -> [f32; 3] {
     [p.x, p.z, -p.y]
 }
 
-/// A primitive per segment over shared vertices.
+/// A primitive per segment, and one per emitting piece, over shared vertices.
 fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
     let mesh = &result.mesh;
     let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| turned(*p)).collect();
@@ -78,8 +90,17 @@ fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
         "COLOR_0": buffer.add_colors(&colors),
     });
     let mut primitives = Vec::new();
-    for segment in 0..result.segments.len() as u32 {
-        let own = mesh.triangles.iter().filter(|t| result.segment[t[0] as usize] == segment);
+    let segments = result.segments.len() as u32;
+    let mut piece: Vec<Option<u32>> = vec![None; mesh.positions.len()];
+    for (number, emitter) in (segments..).zip(&result.local_light.emitters) {
+        emitter.vertices.iter().for_each(|&i| piece[i as usize] = Some(number));
+    }
+    let material = |t: &[u32; 3]| {
+        let of = piece[t[0] as usize].filter(|of| t.iter().all(|&i| piece[i as usize] == Some(*of)));
+        of.unwrap_or(result.segment[t[0] as usize])
+    };
+    for segment in 0..segments + result.local_light.emitters.len() as u32 {
+        let own = mesh.triangles.iter().filter(|t| material(t) == segment);
         let indices: Vec<u32> = own.flatten().copied().collect();
         if !indices.is_empty() {
             let indices = buffer.add_indices(&indices);
@@ -136,6 +157,7 @@ mod tests {
     use super::*;
     use crate::export::testing::tiny;
     use crate::render::objects::gltf::document;
+    use recordings::local_light::{Emitter, Lamp};
 
     #[test]
     fn our_own_reader_gets_the_mesh_back() {
@@ -149,6 +171,25 @@ mod tests {
                 assert!((object.color[i as usize] - result.albedo[j]).length() < 1e-4);
             }
         }
+    }
+
+    #[test]
+    fn lamps_and_emitters_are_lights_and_materials() {
+        let mut result = tiny();
+        result.local_light.lamps = vec![Lamp { center: [1.0, 2.0, 3.0], radius_m: 0.1, radiance: [8.0, 4.0, 2.0] }];
+        let vertices = result.mesh.triangles[0].to_vec();
+        result.local_light.emitters = vec![Emitter { vertices, radiance: [2.0, 4.0, 1.0] }];
+        let bytes = scene(&result).unwrap();
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let root: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+        let light = &root["extensions"]["KHR_lights_punctual"]["lights"][0];
+        assert!((light["intensity"].as_f64().unwrap() - 8.0 * std::f64::consts::PI * 0.01).abs() < 1e-6);
+        let lamp = root["nodes"].as_array().unwrap().last().unwrap();
+        assert_eq!(lamp["translation"], json!([1.0, 3.0, -2.0]));
+        let emitter = root["materials"].as_array().unwrap().last().unwrap();
+        assert_eq!(emitter["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"], 4.0);
+        let primitives = root["meshes"][0]["primitives"].as_array().unwrap();
+        assert!(primitives.iter().any(|p| p["material"] == result.segments.len()));
     }
 
     /// The Khronos validator, where it is installed (npm i -g gltf-validator; NODE_PATH names its folder).
