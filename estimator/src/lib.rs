@@ -88,7 +88,7 @@ pub fn estimate_on(
     run.plan.light_done(model.traced.mean_blocked(), model.options.bands);
 
     // Light that is not distant, where held-out surface asks for it (N1).
-    let local_light = stages::select_local_light(&mut prepared, &mut found, config);
+    let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
 
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let lit_with_gloss = prepared.fields.lit_color.clone();

@@ -326,6 +326,8 @@ pub enum Cut {
         /// Rays per vertex.
         rays: u32,
     },
+    /// Lamps and emitting surfaces were not looked for.
+    LocalLight,
 }
 
 impl Cut {

@@ -276,6 +276,7 @@ impl fmt::Display for Cut {
                 write!(f, "rays: {rays} per vertex, since {instead_of} were not there in time")
             }
             Self::Specular => f.write_str("specular: not looked for"),
+            Self::LocalLight => f.write_str("light: lamps and emitting surfaces were not looked for"),
             Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
             Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),
         }

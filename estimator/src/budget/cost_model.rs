@@ -25,6 +25,9 @@ const SOLVED: f64 = 0.05;
 const PER_OBSERVATION: f64 = 5.0e-7;
 /// Passes of cleaning and factorising again.
 const PASSES: f64 = 3.0;
+/// Looking for lamps and emitting surfaces: a search over places, and the light of what was found at every vertex.
+const LAMP_SEARCH: f64 = 1.0;
+const PER_VERTEX_LIT: f64 = 2.0e-5;
 /// One validation frame, per pixel.
 const PER_WITNESS_PIXEL: f64 = 3.0e-6;
 /// Writing the result, per vertex.
@@ -105,6 +108,12 @@ pub fn solution(bands: usize) -> f64 {
 pub fn specular(size: &Size, bands: usize) -> f64 {
     // About a third of the keyframes see any one vertex.
     PASSES * (PER_OBSERVATION * size.vertices * size.keyframes / 3.0 + solution(bands))
+}
+
+/// Looking for lamps and emitting surfaces.
+#[must_use]
+pub fn local_light(size: &Size) -> f64 {
+    LAMP_SEARCH + PER_VERTEX_LIT * size.vertices
 }
 
 /// Predicting one validation frame.

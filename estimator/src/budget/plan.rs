@@ -287,6 +287,22 @@ impl<'a> Plan<'a> {
         self.worked(workload.light(&size, blocked) - cost_model::rays(size.vertices, workload.rays));
     }
 
+    /// True if a search for lamps and emitting surfaces fits.
+    pub fn local_light(&mut self) -> bool {
+        let size = self.workload.size(&self.size);
+        let fits = cost_model::local_light(&size) + cost_model::output(&size) <= self.left();
+        if !fits {
+            self.fixed.push(Cut::LocalLight);
+        }
+        fits
+    }
+
+    /// Lamps and emitting surfaces were looked for.
+    pub fn local_light_done(&mut self) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::local_light(&size));
+    }
+
     /// True if gloss is asked for and fits.
     pub fn specular(&mut self, bands: usize) -> bool {
         let size = self.workload.size(&self.size);

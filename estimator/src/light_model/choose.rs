@@ -76,9 +76,25 @@ pub struct Near {
     pub light: LocalLight,
 }
 
-/// The model that held-out surface asks for; `None` where it is distant light, `found`.
+/// The model that held-out surface asks for.
+pub struct Chosen {
+    /// What takes the place of the distant answer; `None` where that is kept.
+    pub near: Option<Near>,
+    /// The choice and its evidence.
+    pub decision: Decision,
+    /// Richer models were tried.
+    pub searched: bool,
+}
+
+/// Chooses the model that held-out surface asks for, against the distant answer `found`. `may_search` is asked before richer
+/// models are tried.
 #[must_use]
-pub fn choose(scene: &Scene, found: &Factorised, tuning: &FactorisationTuning) -> (Option<Near>, Decision) {
+pub fn choose(
+    scene: &Scene,
+    found: &Factorised,
+    tuning: &FactorisationTuning,
+    may_search: &mut dyn FnMut() -> bool,
+) -> Chosen {
     let mut choice = Choice::new(scene, &found.transfer.traced, tuning);
     let at = |n: usize| found.irradiance[choice.samples.vertex[n] as usize].to_array().map(f64::from);
     let distant = choice.errors(at);
@@ -89,7 +105,9 @@ pub fn choose(scene: &Scene, found: &Factorised, tuning: &FactorisationTuning) -
     let flat = mean(&choice.errors(|_| [1.0; 3]));
     let smoothed = mean(&choice.errors(|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize)));
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: smoothed.min(flat) });
-    if mean(&distant) > UNQUESTIONED.max(CLEAR * smoothed.min(flat)) && distant.len() > 1 {
+    let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * smoothed.min(flat)) && distant.len() > 1;
+    let searched = questioned && may_search();
+    if searched {
         choice.observe();
         let best = choice.grown(&mut ladder);
         let is_near = is_better(&best.blocks, &distant);
@@ -102,7 +120,7 @@ pub fn choose(scene: &Scene, found: &Factorised, tuning: &FactorisationTuning) -
         }
     }
     let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
-    (near, Decision::LightModel { chosen, ladder, samples })
+    Chosen { near, decision: Decision::LightModel { chosen, ladder, samples }, searched }
 }
 
 /// Held-out blocks: (block, sum of errors, weight).

@@ -84,8 +84,8 @@ fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
     let clipped = vec![false; lit_color.len()];
     let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, clipped: &clipped };
-    let (near, decision) = choose::choose(&parts, &found, &tuning);
-    (near, decision, segment)
+    let chosen = choose::choose(&parts, &found, &tuning, &mut || true);
+    (chosen.near, chosen.decision, segment)
 }
 
 #[test]

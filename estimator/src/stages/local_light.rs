@@ -4,19 +4,22 @@ use crate::factorisation::Factorised;
 use crate::light_model::choose;
 use crate::stages::prepare::Prepared;
 use crate::stages::result::check_distance;
-use firmware_config::EstimatorConfig;
+use crate::stages::run::Run;
 use recordings::local_light::LocalLight;
 
 /// Puts the answer of a richer model of light in place of the distant one if held-out surface asks for it; the distant one is
 /// checked before. Changes nothing else.
-pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, config: &EstimatorConfig) -> LocalLight {
+pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: &mut Run) -> LocalLight {
     let clipped = prepared.fields.always_clipped();
     let scene =
         choose::Scene { mesh: &prepared.mesh, rays: &prepared.scene, colors: prepared.colors(), clipped: &clipped };
-    let (near, decision) = choose::choose(&scene, found, &config.tuning.factorisation);
-    prepared.decisions.push(decision);
-    let Some(near) = near else { return LocalLight::default() };
-    check_distance(prepared, found, config);
+    let chosen = choose::choose(&scene, found, &run.config.tuning.factorisation, &mut || run.plan.local_light());
+    prepared.decisions.push(chosen.decision);
+    if chosen.searched {
+        run.plan.local_light_done();
+    }
+    let Some(near) = chosen.near else { return LocalLight::default() };
+    check_distance(prepared, found, run.config);
     (found.solution, found.detail, found.irradiance) = (near.solution, near.detail, near.irradiance);
     near.light
 }

@@ -18,7 +18,7 @@ section! {
         /// Smallest number of moved keyframes whose motions tell how far given poses are off; with fewer, prior_px alone holds them. Source: a median of fewer is uncertain.
         deviation_keyframes: u32 = 6, [2..=1000000], "", "";
         /// The prior's standard deviation, in robust deviations of the keyframes' motions. Source: measured on the rendered scenes.
-        deviation_factor: f64 = 1.5, [0.1..=100.0], "", "";
+        deviation_factor: f64 = 1.0, [0.1..=100.0], "", "";
         /// Rings of unseen vertices that take their neighbours' lit colour in the predicted image. Source: measured on the rendered scenes.
         fill_rings: u32 = 8, [0..=1000], "edges", "";
         /// Smallest number of edge pixels with which a keyframe is aligned. Source: far above the six unknowns.
