@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use tests::synth::{render, tabletop};
 
 fn data() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("data")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data")
 }
 
 fn size(path: &Path) -> u64 {
