@@ -9,7 +9,7 @@
 //! use recordings::scan::Scan;
 //! use std::time::Duration;
 //!
-//! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../recordings/data/samples/v1.lscan");
+//! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../recordings/data/tiny.lscan");
 //! let scan = Scan::read(path.as_ref())?;
 //! // A fixed number of ray rounds instead of the clock: the result is the same on every run.
 //! let options = Options { budget: Duration::from_secs(120), rounds: Some(1) };
