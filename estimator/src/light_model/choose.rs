@@ -50,6 +50,8 @@ const FILLS: usize = 2;
 const BRIGHTEST: f64 = 0.75;
 /// Quantile of the segments' spread of log albedo that is taken as that of plain ones.
 const PLAIN: f64 = 0.25;
+/// At most so much of it is taken for the light's error: where no surface is plain, the spread is that of the albedo.
+const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// What the choice is made from.
 #[derive(Clone, Copy)]
@@ -436,7 +438,7 @@ impl<'a> Choice<'a> {
             below += w;
             below > PLAIN * total
         });
-        plain.map_or(0.0, |(spread, _)| spread)
+        plain.map_or(0.0, |(spread, _)| spread.min(MAX_UNEXPLAINED))
     }
 }
 
