@@ -2,7 +2,7 @@
 
 use super::cameras::{PHOTO_PERIOD_S, Way, with_error};
 use super::files::{
-    matrix, write_bytes, write_floats, write_json, write_mask, write_mesh, write_picture, write_vectors,
+    matrix, pose, write_bytes, write_floats, write_json, write_mask, write_mesh, write_picture, write_vectors,
 };
 use super::plan::{Detail, Plan};
 use super::rerender::{Rerender, View, gain_for, psnr};
@@ -18,6 +18,7 @@ use crate::synth::random::Rng;
 use crate::synth::render::{self, Exposure, Shading};
 use crate::synth::scene::Scene;
 use glam::{DMat4, DVec4, Vec3};
+use recordings::format_seconds;
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
 use recordings::types::{ColorEncoding, ColorFrame, Intrinsics, Pose, RgbImage};
 use serde_json::{Value, json};
@@ -408,7 +409,7 @@ pub(super) fn median_ratio(truth: &[Vec3], found: &[Vec3], used: impl Fn(usize) 
     Vec3::new(channel(0), channel(1), channel(2))
 }
 
-/// `recording.lrec`, and `truth/recording.json` with the true poses by time stamp.
+/// `recording.lrec`, `recording/` for the scorer, and `truth/recording.json` with the true poses by time stamp.
 fn record(
     folder: &Path,
     truth: &Path,
@@ -446,7 +447,25 @@ fn record(
         }));
     }
     writer.finish()?;
+    write_trajectory(&folder.join("recording"), &frames)?;
     Ok(write_json(&truth.join("recording.json"), &json!({ "frames": frames }))?)
+}
+
+/// What the independent scorer reads of a recording (`--rgbd`): `rgb.txt`, `groundtruth.txt`, `truth/exposures.json`.
+fn write_trajectory(folder: &Path, frames: &[Value]) -> std::io::Result<()> {
+    let (mut names, mut poses) = (String::new(), String::new());
+    for frame in frames {
+        let time_s = format_seconds(frame["timestamp_ns"].as_i64().unwrap_or(0));
+        let pose = pose(&frame["camera_to_world"]).unwrap_or(Pose::IDENTITY);
+        let (t, q) = (pose.translation, pose.rotation);
+        names += &format!("{time_s} -\n");
+        poses += &format!("{time_s} {} {} {} {} {} {} {}\n", t.x, t.y, t.z, q.x, q.y, q.z, q.w);
+    }
+    std::fs::create_dir_all(folder.join("truth"))?;
+    std::fs::write(folder.join("rgb.txt"), names)?;
+    std::fs::write(folder.join("groundtruth.txt"), poses)?;
+    let gains: Vec<&Value> = frames.iter().map(|f| &f["gain"]).collect();
+    write_json(&folder.join("truth/exposures.json"), &json!({ "gain": gains }))
 }
 
 /// A light of a scene folder: the map as it was written.
