@@ -112,7 +112,9 @@ pub fn choose(
     if searched {
         choice.observe();
         let best = choice.grown(&mut ladder);
-        let is_near = is_better(&best.blocks, &distant);
+        // Where a smooth function replaces distant light, a model that explains more than both goes before it.
+        let replaced = smoothed.min(flat) < mean(&distant) * (1.0 - LEAST_GAIN);
+        let is_near = is_better(&best.blocks, &distant) || replaced && mean(&best.blocks) < smoothed.min(flat);
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
         if smoothed.min(flat) < least * (1.0 - LEAST_GAIN) {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
