@@ -35,7 +35,7 @@ pub struct Alignment {
 }
 
 /// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
-/// given pose, on which the prior acts: `deviation` of the given poses where it is known to be below that of the settings.
+/// given pose, on which the prior acts. A keyframe that ran away is `held` by the deviation of the others' given poses.
 /// `None` if there are too few edge pixels or the system is singular.
 pub fn align(
     context: &AssociationContext,
@@ -43,7 +43,7 @@ pub fn align(
     colors: &[Vec3],
     view: &RefinedView,
     moved: &Motion,
-    deviation: &PoseDeviation,
+    held: Option<&PoseDeviation>,
     level: f64,
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
@@ -54,11 +54,11 @@ pub fn align(
     }
     let depth = median(pixels.iter().map(|p| p.point.z))?;
     let prior = Motion::from_fn(|r, _| {
-        let angle = tuning.prior_px / target.camera.fx.abs() * level;
-        let sigma = if r < 3 { angle.min(deviation.rotation) } else { (angle * depth).min(deviation.translation) };
+        let given = tuning.prior_px / target.camera.fx.abs() * level * if r < 3 { 1.0 } else { depth };
+        let sigma = held.map_or(given, |h| given.min(if r < 3 { h.rotation } else { h.translation }));
         1.0 / (sigma * sigma)
     });
-    let problem = Problem { target, pixels, prior, tuning };
+    let problem = Problem { target, pixels, prior, held: held.is_some(), tuning };
     let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
     let mut residuals = problem.residuals(&delta);
     let scale = problem.robust_scale(&residuals)?;
@@ -100,17 +100,20 @@ pub struct PoseDeviation {
 }
 
 impl PoseDeviation {
-    /// Nothing is known beyond the settings.
-    pub const UNKNOWN: Self = Self { rotation: f64::INFINITY, translation: f64::INFINITY };
-
-    /// From the motions of many keyframes, most of which were aligned well; with a factor for those that the prior held.
-    pub fn of(moved: &[Motion], factor: f64) -> Self {
+    /// From the motions of many keyframes, most of which were aligned well; `None` if none moved.
+    pub fn of(moved: &[Motion]) -> Option<Self> {
         let sigma = |unknowns: std::ops::Range<usize>| {
             let all = moved.iter().filter(|m| m.norm() > 0.0);
-            let sigma = factor * robust_sigma(all.flat_map(|m| unknowns.clone().map(|r| m[r].abs())));
-            if sigma > 0.0 { sigma } else { f64::INFINITY }
+            robust_sigma(all.flat_map(|m| unknowns.clone().map(|r| m[r].abs())))
         };
-        Self { rotation: sigma(0..3), translation: sigma(3..6) }
+        let own = Self { rotation: sigma(0..3), translation: sigma(3..6) };
+        (own.rotation > 0.0 && own.translation > 0.0).then_some(own)
+    }
+
+    /// A motion so long, in deviations, is none of a given pose that is off: the keyframe ran away.
+    pub fn is_exceeded_by(&self, moved: &Motion, factor: f64) -> bool {
+        moved.fixed_rows::<3>(0).norm() > factor * self.rotation
+            || moved.fixed_rows::<3>(3).norm() > factor * self.translation
     }
 }
 
@@ -153,6 +156,8 @@ struct Problem<'a> {
     pixels: Vec<EdgePixel>,
     /// Information of the prior on the total motion, per unknown.
     prior: Motion,
+    /// The prior counts among the cost, too: the keyframe ran away.
+    held: bool,
     tuning: &'a PoseTuning,
 }
 
@@ -181,11 +186,15 @@ impl Problem<'_> {
         enough.then(|| median(valid)).flatten().map(|m| f64::from(m).max(MIN_SCALE))
     }
 
-    /// What a step lowers: the mean Tukey loss, and the prior in the same units.
+    /// What a step lowers: the mean Tukey loss and, for a keyframe that is held, the prior in the same units.
     fn cost(&self, residuals: &[f32], scale: f64, moved: &Motion) -> f64 {
+        let loss = tukey_cost(residuals, scale);
+        if !self.held {
+            return loss;
+        }
         // The loss of a pixel, over three channels, is TUKEY² / 6 · 3 of the quadratic form's units at most.
         let unit = self.pixels.len() as f64 * TUKEY * TUKEY / (2.0 * self.tuning.pixels_per_observation);
-        tukey_cost(residuals, scale) + 0.5 * self.prior.component_mul(moved).dot(moved) / unit
+        loss + 0.5 * self.prior.component_mul(moved).dot(moved) / unit
     }
 
     /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.

@@ -6,6 +6,7 @@ use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::LitColors;
 use crate::association::observations::RefinedView;
+use firmware_config::tuning::PoseTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::decision::Decision;
@@ -20,6 +21,8 @@ const MIN_REST: f32 = 0.05;
 pub struct PoseRefiner {
     /// Sum of the steps since the given pose, `[keyframe]`.
     moved: Vec<Motion>,
+    /// The keyframe ran away and is held by the others' deviation, `[keyframe]`.
+    held: Vec<bool>,
     /// RMS step in pixels, `[round]`.
     history: Vec<f64>,
     first_residual: f64,
@@ -29,7 +32,13 @@ pub struct PoseRefiner {
 impl PoseRefiner {
     /// Starts at the given poses.
     pub fn new(keyframes: usize) -> Self {
-        Self { moved: vec![Motion::zeros(); keyframes], history: vec![], first_residual: 0.0, last_residual: 0.0 }
+        Self {
+            moved: vec![Motion::zeros(); keyframes],
+            held: vec![false; keyframes],
+            history: vec![],
+            first_residual: 0.0,
+            last_residual: 0.0,
+        }
     }
 
     /// One round over all keyframes, from coarse to fine. Returns false if the poses have converged.
@@ -48,19 +57,13 @@ impl PoseRefiner {
             _ => &[1.0],
         };
         let filled = fill(context, &lit.color, &lit.weight);
-        // A keyframe of a blank wall moves no farther than those that are held by edges.
-        let tuning = &context.config.tuning.pose;
-        let aligned = self.moved.iter().filter(|m| m.norm() > 0.0).count();
-        let deviation = if aligned >= tuning.deviation_keyframes as usize {
-            PoseDeviation::of(&self.moved, tuning.deviation_factor)
-        } else {
-            PoseDeviation::UNKNOWN
-        };
+        let deviation = self.hold_runaways(&context.config.tuning.pose);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
             .into_par_iter()
             .map(|j| {
                 let image = images[j].as_ref()?;
                 let colors = without_own(field, lit, &filled, views, j);
+                let held = deviation.as_ref().filter(|_| self.held[j]);
                 let mut total: Option<Alignment> = None;
                 for &level in levels {
                     let mut view = views[j];
@@ -69,7 +72,7 @@ impl PoseRefiner {
                         view.world_from_camera = a.pose;
                         moved = a.moved;
                     }
-                    if let Some(next) = align(context, image, &colors, &view, &moved, &deviation, level) {
+                    if let Some(next) = align(context, image, &colors, &view, &moved, held, level) {
                         let step_px = total.as_ref().map_or(0.0, |t| t.step_px).hypot(next.step_px);
                         total = Some(Alignment { step_px, ..next });
                     }
@@ -100,6 +103,17 @@ impl PoseRefiner {
         rms > context.config.tuning.pose.converged_px || round < MIN_ROUNDS
     }
 
+    /// Marks keyframes that moved much farther than the others: what they show does not hold them. Returns the deviation of the
+    /// given poses, if enough keyframes tell it.
+    fn hold_runaways(&mut self, tuning: &PoseTuning) -> Option<PoseDeviation> {
+        let aligned = self.moved.iter().filter(|m| m.norm() > 0.0).count();
+        let deviation = PoseDeviation::of(&self.moved).filter(|_| aligned >= tuning.deviation_keyframes as usize)?;
+        for (held, moved) in self.held.iter_mut().zip(&self.moved) {
+            *held |= deviation.is_exceeded_by(moved, tuning.runaway_deviations);
+        }
+        Some(deviation)
+    }
+
     /// Steps and residuals as evidence.
     pub fn decision(&self, refined: bool) -> Decision {
         Decision::Pose {
@@ -125,7 +139,7 @@ pub fn located(
     let mut found = *view;
     let mut moved = Motion::zeros();
     for level in [0.25, 0.5, 1.0, 1.0] {
-        if let Some(a) = align(context, image, &colors, &found, &moved, &PoseDeviation::UNKNOWN, level) {
+        if let Some(a) = align(context, image, &colors, &found, &moved, None, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);
         }
     }

@@ -17,8 +17,8 @@ section! {
         prior_px: f64 = 5.0, [1e-3..=1e6], "px", "";
         /// Smallest number of moved keyframes whose motions tell how far given poses are off; with fewer, prior_px alone holds them. Source: a median of fewer is uncertain.
         deviation_keyframes: u32 = 6, [2..=1000000], "", "";
-        /// The prior's standard deviation, in robust deviations of the keyframes' motions. Source: measured on the rendered scenes.
-        deviation_factor: f64 = 1.0, [0.1..=100.0], "", "";
+        /// A keyframe whose motion is longer than this many robust deviations of all motions ran away: the prior holds it with that deviation from then on. Source: measured on the rendered scenes.
+        runaway_deviations: f64 = 8.0, [0.1..=1e6], "σ", "";
         /// Rings of unseen vertices that take their neighbours' lit colour in the predicted image. Source: measured on the rendered scenes.
         fill_rings: u32 = 8, [0..=1000], "edges", "";
         /// Smallest number of edge pixels with which a keyframe is aligned. Source: far above the six unknowns.
