@@ -4,7 +4,8 @@
 //! `DIR/<seed>/result` (and `result_fused` where the seed has a recording), `--json FILE` all figures. `--even`, `--odd` and
 //! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
 //! `--small` makes the scenes that continuous integration uses; `--lumiscan` names the
-//! program that replays recordings (by default it is built).
+//! program that replays recordings (by default it is built), `--judge` a folder like `--out` whose
+//! results are judged as they are.
 
 use serde_json::json;
 use std::error::Error;
@@ -13,7 +14,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 use tests::corpus::plan::{Detail, Plan};
 use tests::corpus::report::{self, Row};
-use tests::corpus::{files, produce, run};
+use tests::corpus::{files, judge, produce, run};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
@@ -26,11 +27,12 @@ struct Arguments {
     render_only: bool,
     fused: bool,
     program: Option<PathBuf>,
+    judged: Option<PathBuf>,
     budget: Duration,
 }
 
 const USAGE: &str = "usage: corpus --seeds FROM..TO [--even|--odd] [--light distant|lamps|room] [--out DIR] [--json FILE] \
-[--cache DIR] [--lumiscan PROGRAM] [--budget SECONDS] [--render] [--photos] [--small]";
+[--cache DIR] [--lumiscan PROGRAM] [--judge DIR] [--budget SECONDS] [--render] [--photos] [--small]";
 
 impl Arguments {
     fn parse() -> Fallible<Self> {
@@ -44,6 +46,7 @@ impl Arguments {
             render_only: false,
             fused: true,
             program: None,
+            judged: None,
             // Enough for the budget not to bind: figures are to be the same on any machine.
             budget: Duration::from_secs(900),
         };
@@ -61,6 +64,7 @@ impl Arguments {
                 "--json" => own.json = Some(value()?.into()),
                 "--cache" => own.cache = value()?.into(),
                 "--lumiscan" => own.program = Some(value()?.into()),
+                "--judge" => own.judged = Some(value()?.into()),
                 "--budget" => own.budget = Duration::from_secs_f64(value()?.parse()?),
                 "--light" => light = Some(value()?),
                 "--even" => parity = Some(0),
@@ -90,6 +94,16 @@ fn main() -> Fallible<()> {
         if arguments.render_only {
             continue;
         }
+        if let Some(results) = &arguments.judged {
+            let results = results.join(seed.to_string());
+            for (name, recorded) in [("result", false), ("result_fused", true)] {
+                let result = results.join(name);
+                if result.is_dir() {
+                    rows.push(judge::judge(&scene, &result, recorded, threads)?);
+                }
+            }
+            continue;
+        }
         let folder = kept.join(seed.to_string());
         if folder.exists() {
             std::fs::remove_dir_all(&folder)?;
@@ -111,6 +125,9 @@ fn main() -> Fallible<()> {
             files::write_json(path, &json!({ "scenes": rows }))?;
         }
         eprint!("{}", report::scenes(&rows).lines().last().map_or(String::new(), |l| format!("{l}\n")));
+    }
+    if let Some(path) = &arguments.json {
+        files::write_json(path, &json!({ "scenes": rows }))?;
     }
     if !rows.is_empty() {
         println!(

@@ -26,7 +26,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 /// Scenes of another version are made anew.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Order of the light's coefficients.
 const ORDER: usize = 8;
@@ -122,7 +122,7 @@ pub fn produce(folder: &Path, plan: &Plan, detail: &Detail, threads: usize) -> R
     write_json(&truth.join("exposures.json"), &exposures)?;
 
     // What is true of the surface and of the light.
-    let albedo = scene.albedo();
+    let albedo = seen_albedo(&scene, &kinect.camera, &poses);
     let lit_color: Vec<Vec3> = albedo.iter().zip(&arriving[0]).map(|(a, l)| *a * *l).collect();
     let seen = seen_count(&scene, &kinect.camera, &poses, threads);
     let material = materials(&stage, &scene, &albedo, &truth)?;
@@ -296,6 +296,29 @@ fn write_light(stage: &Stage, truth: &Path) -> std::io::Result<Vec<[f64; 3]>> {
     }
     write_json(&truth.join("lighting_sh.json"), &Value::Object(document))?;
     Ok(first)
+}
+
+/// Diffuse albedo at the vertices as photographs can show it: the mean over a disc of a pixel's size, at the mean distance.
+/// Samples of a print at points would differ from any picture of it.
+fn seen_albedo(scene: &Scene, camera: &Intrinsics, poses: &[Pose]) -> Vec<Vec3> {
+    const POINTS: usize = 24;
+    let eyes: Vec<Vec3> = poses.iter().map(|p| p.translation.as_vec3()).collect();
+    let of = |i: usize| {
+        let (p, normal) = (scene.mesh.positions[i], scene.mesh.normals[i]);
+        let part = &scene.parts[usize::from(scene.part_of_vertex[i])];
+        let (t, b) = normal.any_orthonormal_pair();
+        let distance = eyes.iter().map(|e| e.distance(p)).sum::<f32>() / eyes.len().max(1) as f32;
+        let radius = distance / camera.fx as f32;
+        let sum: Vec3 = (0..POINTS)
+            .map(|k| {
+                let (s, c) = libm::sincosf(2.399_963_1 * k as f32);
+                let r = radius * ((k as f32 + 0.5) / POINTS as f32).sqrt();
+                (part.texture)(p + (t * c + b * s) * r)
+            })
+            .sum();
+        sum * ((1.0 - part.material.w_s) / POINTS as f32)
+    };
+    (0..scene.mesh.positions.len()).map(of).collect()
 }
 
 /// Number of keyframes that see each vertex.
