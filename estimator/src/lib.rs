@@ -93,16 +93,15 @@ pub fn estimate_on(
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let lit_with_gloss = prepared.fields.lit_color.clone();
     let answer = if local_light.model == LightModel::Distant {
-        stages::remove_gloss(&mut prepared, found, &model.options, &mut run)
+        let answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
+        stages::check_distance(&mut prepared, &answer.found, config);
+        answer
     } else {
         // Eq. (13) mirrors distant light alone.
         Answer { found, gloss: vec![Gloss::NONE; prepared.segments] }
     };
 
-    // Checks: the assumption of distant light, and frames that no step used.
-    if local_light.model == LightModel::Distant {
-        stages::check_distance(&mut prepared, &answer.found, config);
-    }
+    // Frames that no step used.
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));

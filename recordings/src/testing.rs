@@ -341,3 +341,11 @@ pub(crate) fn resealed(whole: &[u8], at: usize, value: u8) -> Vec<u8> {
     }
     bytes
 }
+
+/// A file that holds `text`; it goes with the folder.
+pub fn text_file(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("file.txt");
+    std::fs::write(&path, text).unwrap();
+    (dir, path)
+}

@@ -1,14 +1,10 @@
 //! A result beside the truth of its scene.
 
-use crate::metrics::{self, AlbedoError, median};
+use crate::metrics::{self, AlbedoError};
 use crate::truth::{Truth, json};
-use glam::{DVec2, DVec3};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use recordings::types::Pose;
-
-/// Minimum number of vertices of a segment that counts in the area under the curve.
-const MIN_SEGMENT: usize = 20;
 
 /// Errors of a result, over the vertices that at least two keyframes see.
 #[derive(Debug, Clone)]
@@ -42,6 +38,7 @@ pub fn evaluate(truth: &Truth, scan: &Scan, found: &Estimate) -> Figures {
     let seen: Vec<usize> = (0..truth.seen.len()).filter(|&i| truth.seen[i] >= 2).collect();
     let albedo: Vec<[f64; 3]> = found.albedo.iter().map(|a| a.to_array().map(f64::from)).collect();
     let pick = |labels: &[u32]| seen.iter().map(|&i| labels[i]).collect::<Vec<u32>>();
+    let glossy = |&i: &usize| (found.segment[i], truth.glossy[truth.material[i] as usize]);
     let given: Vec<Pose> = scan.keyframes.iter().map(|k| k.world_from_camera).collect();
     let poses: Vec<Pose> = found.keyframes.iter().map(|k| k.world_from_camera).collect();
     Figures {
@@ -52,7 +49,7 @@ pub fn evaluate(truth: &Truth, scan: &Scan, found: &Estimate) -> Figures {
         albedo: metrics::albedo(&albedo, &truth.albedo, &truth.material, |i| truth.seen[i] >= 2),
         irradiance: metrics::scene_irradiance(&truth.transfer().gi, &found.light.coefficients, &truth.light),
         ari: metrics::adjusted_rand_index(&pick(&truth.material), &pick(&found.segment)),
-        auc: gloss_auc(truth, found, &seen),
+        auc: metrics::gloss_auc(seen.iter().map(glossy), |s| found.segments[s as usize].w_s),
     }
 }
 
@@ -60,39 +57,17 @@ fn exposure_error(truth: &Truth, found: &Estimate) -> f64 {
     let exposures = json(&truth.folder.join("truth/exposures.json"));
     let gains = exposures["gain"].as_array().expect("gain").iter().map(|g| libm::log(g.as_f64().expect("a number")));
     let found = found.keyframes.iter().map(|k| k.gain.iter().map(|g| libm::log(*g)).sum::<f64>() / 3.0);
-    let errors: Vec<f64> = found.zip(gains).map(|(found, gain)| found - gain).collect();
-    let common = median(&errors);
-    f64::sqrt(errors.iter().map(|e| (e - common) * (e - common)).sum::<f64>() / errors.len() as f64)
+    metrics::rms_about_median(&found.zip(gains).map(|(found, gain)| found - gain).collect::<Vec<f64>>())
 }
 
 fn pose_error(truth: &Truth, scan: &Scan, poses: &[Pose]) -> f64 {
     let document = json(&truth.folder.join("truth/poses.json"));
     let frames = document["frames"].as_array().expect("frames");
+    let matrix = |frame: &serde_json::Value| -> [[f64; 4]; 4] {
+        serde_json::from_value(frame["camera_to_world"].clone()).expect("a matrix of four by four")
+    };
+    let right: Vec<Pose> = frames.iter().map(|frame| Pose::from_rows(&matrix(frame)).expect("a pose")).collect();
     let camera = scan.keyframes[0].camera.intrinsics;
-    let project = |pose: &Pose, p: DVec3| {
-        let q = pose.inverse().transform(p);
-        (q.z > 0.1).then(|| DVec2::new(q.x / q.z * camera.fx, q.y / q.z * camera.fy))
-    };
-    let half = DVec2::new(f64::from(camera.width), f64::from(camera.height)) / 2.0;
     let step = (truth.mesh.positions.len() / 3000).max(1);
-    let of_frame = |(pose, frame): (&Pose, &serde_json::Value)| {
-        let rows: [[f64; 4]; 4] =
-            serde_json::from_value(frame["camera_to_world"].clone()).expect("a matrix of four by four");
-        let right = Pose::from_rows(&rows).expect("a pose");
-        let points = truth.mesh.positions.iter().step_by(step).map(|p| p.as_dvec3());
-        let pairs = points.filter_map(|p| Some((project(pose, p)?, project(&right, p)?)));
-        let visible = pairs.filter(|(_, b)| b.abs().cmplt(half).all());
-        median(&visible.map(|(a, b)| a.distance(b)).collect::<Vec<_>>())
-    };
-    poses.iter().zip(frames).map(of_frame).sum::<f64>() / poses.len() as f64
-}
-
-/// A segment is glossy if most of its vertices are.
-fn gloss_auc(truth: &Truth, found: &Estimate, seen: &[usize]) -> Option<f64> {
-    let of = |s: usize| seen.iter().filter(move |&&i| found.segment[i] as usize == s);
-    let judged: Vec<usize> = (0..found.segments.len()).filter(|&s| of(s).count() >= MIN_SEGMENT).collect();
-    let glossy = |&s: &usize| 2 * of(s).filter(|&&i| truth.glossy[truth.material[i] as usize]).count() > of(s).count();
-    let gloss: Vec<bool> = judged.iter().map(glossy).collect();
-    let scores: Vec<f64> = judged.iter().map(|&s| found.segments[s].w_s).collect();
-    metrics::area_under_curve(&scores, &gloss)
+    metrics::pixel_shifts(&camera, &truth.mesh.positions, step, poses, &right).iter().sum::<f64>() / poses.len() as f64
 }

@@ -1,5 +1,9 @@
 //! The figures that results are judged by.
 
+use glam::{DVec2, DVec3, Vec3};
+use recordings::types::{Intrinsics, Pose};
+use std::collections::BTreeMap;
+
 /// Relative error of albedos after one factor per channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AlbedoError {
@@ -27,6 +31,33 @@ pub fn percentile(values: &[f64], p: f64) -> f64 {
     let low = at.floor() as usize;
     let high = (low + 1).min(last);
     sorted[low] + (sorted[high] - sorted[low]) * (at - low as f64)
+}
+
+/// RMS difference from the median; NaN for nothing.
+#[must_use]
+pub fn rms_about_median(values: &[f64]) -> f64 {
+    let middle = median(values);
+    f64::sqrt(values.iter().map(|v| (v - middle) * (v - middle)).sum::<f64>() / values.len() as f64)
+}
+
+/// How far wrong poses shift the image of a surface: per pose the median over every `step`-th of the points that the true
+/// pose shows, pixels; NaN where it shows none.
+#[must_use]
+pub fn pixel_shifts(camera: &Intrinsics, points: &[Vec3], step: usize, found: &[Pose], truth: &[Pose]) -> Vec<f64> {
+    let project = |pose: &Pose, p: DVec3| {
+        let q = pose.inverse().transform(p);
+        (q.z > 0.1).then(|| DVec2::new(q.x / q.z * camera.fx, q.y / q.z * camera.fy))
+    };
+    let half = DVec2::new(f64::from(camera.width), f64::from(camera.height)) / 2.0;
+    let of_pose = |(found, truth): (&Pose, &Pose)| {
+        let pairs = points.iter().step_by(step).filter_map(|p| {
+            let p = p.as_dvec3();
+            Some((project(found, p)?, project(truth, p)?))
+        });
+        let visible = pairs.filter(|(_, b)| b.abs().cmplt(half).all());
+        median(&visible.map(|(a, b)| a.distance(b)).collect::<Vec<_>>())
+    };
+    found.iter().zip(truth).map(of_pose).collect()
 }
 
 /// Compares albedos at the vertices where `used` holds.
@@ -105,6 +136,23 @@ pub fn area_under_curve(score: &[f64], label: &[bool]) -> Option<f64> {
         })
         .sum();
     Some(wins / (positive.len() * negative.len()) as f64)
+}
+
+/// Segments with fewer judged vertices say nothing of gloss.
+const MIN_SEGMENT: usize = 20;
+
+/// Area under the ROC curve of the specular weight `w_s` of segments for telling glossy ones. `vertices` are segment and
+/// whether the true material is glossy; a segment is glossy if most of its vertices are.
+#[must_use]
+pub fn gloss_auc(vertices: impl IntoIterator<Item = (u32, bool)>, w_s: impl Fn(u32) -> f64) -> Option<f64> {
+    let mut counts: BTreeMap<u32, [usize; 2]> = BTreeMap::new();
+    for (segment, glossy) in vertices {
+        counts.entry(segment).or_default()[usize::from(glossy)] += 1;
+    }
+    counts.retain(|_, [matte, glossy]| *matte + *glossy >= MIN_SEGMENT);
+    let score: Vec<f64> = counts.keys().map(|s| w_s(*s)).collect();
+    let label: Vec<bool> = counts.values().map(|[matte, glossy]| glossy > matte).collect();
+    area_under_curve(&score, &label)
 }
 
 /// Irradiance that two lights give at reference vertices, `transfer` being `[vertex][81][3]`: median and 90th percentile

@@ -148,27 +148,10 @@ pub fn located(
 
 /// Lit colours, `[vertex]`, extended over rings of unseen vertices by means of neighbours; NaN farther away.
 fn fill(context: &AssociationContext, color: &[Vec3], weight: &[f32]) -> Vec<Vec3> {
-    let mut colors: Vec<Vec3> = color.iter().zip(weight).map(|(&c, &w)| if w > 0.0 { c } else { Vec3::NAN }).collect();
-    let mut open: Vec<u32> = (0..colors.len() as u32).filter(|&i| colors[i as usize].is_nan()).collect();
-    for _ in 0..context.config.tuning.pose.fill_rings {
-        let ring: Vec<(u32, Vec3)> = open
-            .iter()
-            .filter_map(|&i| {
-                let row = context.graph.neighbours(i as usize);
-                let known = row.iter().map(|&k| colors[k as usize]).filter(|c| !c.is_nan());
-                let (sum, count) = known.fold((Vec3::ZERO, 0.0), |(s, n), c| (s + c, n + 1.0));
-                (count > 0.0).then(|| (i, sum / count))
-            })
-            .collect();
-        if ring.is_empty() {
-            break;
-        }
-        for &(i, c) in &ring {
-            colors[i as usize] = c;
-        }
-        open.retain(|&i| colors[i as usize].is_nan());
-    }
-    colors
+    let known = color.iter().zip(weight).map(|(&c, &w)| (w > 0.0 && !c.is_nan()).then_some(c));
+    let mut colors: Vec<Option<Vec3>> = known.collect();
+    context.graph.fill(&mut colors, context.config.tuning.pose.fill_rings as usize);
+    colors.into_iter().map(|c| c.unwrap_or(Vec3::NAN)).collect()
 }
 
 /// The colours without keyframe `j`'s own observations; NaN where no other keyframe saw the vertex.

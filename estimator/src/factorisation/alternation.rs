@@ -1,8 +1,8 @@
 //! Light and segment albedos in turn, for one channel, on the statistics of the segments (Eqs. 10 and 11).
 
-use crate::factorisation::solution::{DIRECTIONS, directions};
+use crate::factorisation::projection::Projection;
+use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
-use crate::numerics::sh;
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 
@@ -17,31 +17,6 @@ const REGULARISATIONS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
 /// Weight before one is chosen.
 pub(super) const FIRST_REGULARISATION: f64 = REGULARISATIONS[2];
 
-/// Projection of radiance over the directions to coefficients, light = P · radiance: SH values times the solid angle of a
-/// direction, `[k][direction]`.
-pub(super) struct Projection(DMatrix<f64>);
-
-impl Projection {
-    pub fn new(k: usize) -> Self {
-        let mut y = vec![0.0; k];
-        let mut projection = DMatrix::zeros(k, DIRECTIONS);
-        for (d, direction) in directions().into_iter().enumerate() {
-            sh::eval(direction, &mut y);
-            projection
-                .column_mut(d)
-                .iter_mut()
-                .zip(&y)
-                .for_each(|(p, y)| *p = y * 4.0 * std::f64::consts::PI / DIRECTIONS as f64);
-        }
-        Self(projection)
-    }
-
-    /// Number of coefficients.
-    pub fn coefficients(&self) -> usize {
-        self.0.nrows()
-    }
-}
-
 /// Radiance and albedos, for one channel.
 #[derive(Debug, Clone)]
 pub(super) struct Alternation {
@@ -54,7 +29,7 @@ pub(super) struct Alternation {
 impl Alternation {
     /// Coefficients of the light: `[k]`.
     pub fn light(&self, projection: &Projection) -> DVector<f64> {
-        &projection.0 * &self.radiance
+        projection.matrix() * &self.radiance
     }
 
     /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
@@ -142,10 +117,11 @@ impl Alternation {
 fn non_negative(
     gram: &DMatrix<f64>,
     cross: &DVector<f64>,
-    Projection(projection): &Projection,
+    projection: &Projection,
     (strength, min_observability): (f64, f64),
     r: &mut DVector<f64>,
 ) {
+    let projection = projection.matrix();
     let columns = gram * projection;
     let observability: Vec<f64> = (0..r.len()).map(|d| projection.column(d).dot(&columns.column(d)).max(0.0)).collect();
     let least = min_observability * observability.iter().copied().fold(0.0, f64::max);

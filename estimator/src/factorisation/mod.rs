@@ -11,6 +11,7 @@ pub mod held_out;
 pub mod paper_solver;
 mod posterior;
 mod problem;
+mod projection;
 pub mod robust_solver;
 pub mod scale;
 mod solution;
@@ -18,4 +19,5 @@ mod statistics;
 
 pub use factorise::{Factorised, Start, factorise, narrowed, start_from};
 pub use problem::{Colors, FactorisationOptions, Observed};
+pub use projection::Projection;
 pub use solution::{Solution, directions};

@@ -1,6 +1,7 @@
 //! How well each coefficient of the light is determined.
 
-use crate::factorisation::alternation::{Alternation, Projection};
+use crate::factorisation::alternation::Alternation;
+use crate::factorisation::projection::Projection;
 use crate::factorisation::statistics::Folds;
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};

@@ -1,9 +1,10 @@
 //! Default solver (Eqs. 9–12): non-negative radiance over a few hundred directions and one albedo per segment, found in turn
 //! with robust relative weights.
 
-use crate::factorisation::alternation::{Alternation, FIRST_REGULARISATION, Projection};
+use crate::factorisation::alternation::{Alternation, FIRST_REGULARISATION};
 use crate::factorisation::posterior::posterior;
 use crate::factorisation::problem::Observed;
+use crate::factorisation::projection::Projection;
 use crate::factorisation::scale::brightest_large;
 use crate::factorisation::solution::{DIRECTIONS, Solution};
 use crate::factorisation::statistics::{Folds, Sample, samples};

@@ -47,7 +47,7 @@ const INFINITE: f32 = 1e3;
 /// Times that radiance of what was not seen is taken from the model.
 const FILLS: usize = 2;
 /// Albedo of the brightest segment where no light explains the colours.
-const BRIGHTEST: f64 = 0.75;
+pub(super) const BRIGHTEST: f64 = 0.75;
 /// Quantile of the segments' spread of log albedo that is taken as that of plain ones.
 const PLAIN: f64 = 0.25;
 /// At most so much of it is taken for the light's error: where no surface is plain, the spread is that of the albedo.
@@ -106,17 +106,18 @@ pub fn choose(
     let smooth = Smooth::fit(scene.mesh, &choice.samples);
     let flat = mean(&choice.errors(|_| [1.0; 3]));
     let smoothed = mean(&choice.errors(|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize)));
-    ladder.push(LightRung { model: LightModel::Unexplained, held_out: smoothed.min(flat) });
-    let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * smoothed.min(flat)) && distant.len() > 1;
+    let unexplained = smoothed.min(flat);
+    ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
+    let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * unexplained) && distant.len() > 1;
     let searched = questioned && may_search();
     if searched {
         choice.observe();
         let best = choice.grown(&mut ladder);
         // Where a smooth function replaces distant light, a model that explains more than both goes before it.
-        let replaced = smoothed.min(flat) < mean(&distant) * (1.0 - LEAST_GAIN);
-        let is_near = is_better(&best.blocks, &distant) || replaced && mean(&best.blocks) < smoothed.min(flat);
+        let replaced = unexplained < mean(&distant) * (1.0 - LEAST_GAIN);
+        let is_near = is_better(&best.blocks, &distant) || replaced && mean(&best.blocks) < unexplained;
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
-        if smoothed.min(flat) < least * (1.0 - LEAST_GAIN) {
+        if unexplained < least * (1.0 - LEAST_GAIN) {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
             near = Some(choice.unexplained(smooth, found));
         } else if is_near {
@@ -162,6 +163,21 @@ impl Model {
     }
 }
 
+/// The values of [`Rows`].
+struct Columns {
+    coefficients: usize,
+    columns: usize,
+    shared: Vec<f32>,
+    secondary: Vec<[f64; 3]>,
+}
+
+impl Columns {
+    fn rows<'a>(&'a self, samples: &'a Samples) -> Rows<'a> {
+        let Self { coefficients, columns, ref shared, ref secondary } = *self;
+        Rows { samples, coefficients, columns, shared, secondary }
+    }
+}
+
 struct Choice<'a> {
     scene: &'a Scene<'a>,
     traced: &'a Traced,
@@ -201,10 +217,6 @@ impl<'a> Choice<'a> {
         solve::blocks(&self.samples, error)
     }
 
-    fn lamp_column(&self, lamp: &Sphere) -> Vec<f32> {
-        lamps::form_factors(self.scene.mesh, self.scene.rays, &self.samples.vertex, lamp, LAMP_RAYS)
-    }
-
     /// Radiance of all surfaces but those that emit.
     fn radiance_without(&self, emitters: &[usize]) -> Vec<Vec3> {
         let mut radiance = self.radiance.clone();
@@ -214,18 +226,23 @@ impl<'a> Choice<'a> {
         radiance
     }
 
-    /// Rows of (N5) with these sources, in `bands` bands: values and G.
-    fn rows(&self, bands: usize, emitters: &[usize], lamps: &[Vec<f32>]) -> (Vec<f32>, Vec<[f64; 3]>) {
-        let (all, used) = (self.traced.bands * self.traced.bands, bands * bands);
+    /// Columns of (N5) with these sources, in `bands` bands.
+    fn columns(&self, bands: usize, emitters: &[usize], lamps: &[Sphere]) -> Columns {
+        let Scene { mesh, rays, .. } = *self.scene;
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &self.samples.vertex, l, LAMP_RAYS);
+        let lamps: Vec<Vec<f32>> = lamps.iter().map(lamp).collect();
+        let (all, coefficients) = (self.traced.bands * self.traced.bands, bands * bands);
+        let columns = coefficients + emitters.len() + lamps.len();
         let radiance = self.radiance_without(emitters);
-        let mut shared = Vec::with_capacity(self.samples.len() * (used + emitters.len() + lamps.len()));
+        let mut shared = Vec::with_capacity(self.samples.len() * columns);
         for (n, &i) in self.samples.vertex.iter().enumerate() {
-            shared.extend_from_slice(&self.traced.direct[i as usize * all..][..used]);
+            shared.extend_from_slice(&self.traced.direct[i as usize * all..][..coefficients]);
             shared.extend(emitters.iter().map(|p| self.piece_columns[*p][n]));
             shared.extend(lamps.iter().map(|l| l[n]));
         }
         let secondary = |i: &u32| secondary::secondary(self.traced, &radiance, *i as usize);
-        (shared, self.samples.vertex.par_iter().map(secondary).map(|g| g.to_array().map(f64::from)).collect())
+        let secondary = self.samples.vertex.par_iter().map(secondary).map(|g| g.to_array().map(f64::from)).collect();
+        Columns { coefficients, columns, shared, secondary }
     }
 
     fn bands(&self) -> usize {
@@ -233,17 +250,7 @@ impl<'a> Choice<'a> {
     }
 
     fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
-        let columns: Vec<Vec<f32>> = lamps.iter().map(|l| self.lamp_column(l)).collect();
-        let (shared, secondary) = self.rows(self.bands(), emitters, &columns);
-        let coefficients = self.bands() * self.bands();
-        let rows = Rows {
-            samples: &self.samples,
-            coefficients,
-            columns: coefficients + emitters.len() + lamps.len(),
-            shared: &shared,
-            secondary: &secondary,
-        };
-        let solved = solve::solve(&rows, regularisation);
+        let solved = solve::solve(&self.columns(self.bands(), emitters, lamps).rows(&self.samples), regularisation);
         let blocks = solved.held_out(&self.samples);
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
     }
@@ -276,11 +283,14 @@ impl<'a> Choice<'a> {
             best = next;
             note(&best);
         }
+        if best.lamps.is_empty() {
+            return best;
+        }
         // A lamp that was not there yet may have been taken for emission.
         for p in best.emitters.clone() {
             let emitters: Vec<usize> = best.emitters.iter().copied().filter(|e| *e != p).collect();
             let without = solved(&emitters, &best.lamps);
-            if best.lamps.is_empty() || is_better(&best.blocks, &without.blocks) {
+            if is_better(&best.blocks, &without.blocks) {
                 continue;
             }
             best = without;
@@ -291,19 +301,11 @@ impl<'a> Choice<'a> {
 
     /// The model with one more lamp where it fits best; `None` if it fits as well at infinity.
     fn with_lamp(&self, model: &Model) -> Option<Model> {
-        let columns: Vec<Vec<f32>> = model.lamps.iter().map(|l| self.lamp_column(l)).collect();
-        let bands = SEARCH_BANDS.min(self.traced.bands);
-        let (shared, secondary) = self.rows(bands, &model.emitters, &columns);
-        let rows = Rows {
-            samples: &self.samples,
-            coefficients: bands * bands,
-            columns: bands * bands + model.emitters.len() + columns.len(),
-            shared: &shared,
-            secondary: &secondary,
-        };
+        let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), &model.emitters, &model.lamps);
+        let search = Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples));
         let (low, high) = samples::bounds(self.scene.mesh);
         let middle = 0.5 * (low + high);
-        let center = Search { mesh: self.scene.mesh, scene: self.scene.rays, rows }.best_place()?;
+        let center = search.best_place()?;
         let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
         let far = middle + (center - middle).normalize_or_zero() * (INFINITE * low.distance(high));
         let solved = |center: Vec3| {

@@ -55,42 +55,24 @@ pub fn candidates(mesh: &Mesh, graph: &Graph, clipped: &[bool], seen: &[bool]) -
         if !clipped[start] || taken[start] {
             continue;
         }
-        let mut vertices = connected(graph, vec![start as u32], &mut taken, |i| clipped[i]);
+        let mut vertices = graph.grow(vec![start], &mut taken, |i| clipped[i]);
         if vertices.len() < MIN_VERTICES {
             continue;
         }
-        let center = vertices.iter().map(|&i| mesh.positions[i as usize]).sum::<Vec3>() / vertices.len() as f32;
+        let center = vertices.iter().map(|&i| mesh.positions[i]).sum::<Vec3>() / vertices.len() as f32;
         let distance = |i: usize| mesh.positions[i].distance(center);
-        let reach = UNSEEN_RADII * vertices.iter().map(|&i| distance(i as usize)).fold(0.0, f32::max);
+        let reach = UNSEEN_RADII * vertices.iter().map(|&i| distance(i)).fold(0.0, f32::max);
         let mut grown_taken = taken.clone();
-        let grown = connected(graph, vertices.clone(), &mut grown_taken, |i| !seen[i] && distance(i) < reach);
+        let grown = graph.grow(vertices.clone(), &mut grown_taken, |i| !seen[i] && distance(i) < reach);
         if grown.len() <= UNSEEN_RATIO * vertices.len() {
             (vertices, taken) = (grown, grown_taken);
         }
         vertices.sort_unstable();
-        pieces.push(Piece::new(vertices, &area));
+        pieces.push(Piece::new(vertices.into_iter().map(|i| i as u32).collect(), &area));
     }
     pieces.sort_by(|a, b| b.area().total_cmp(&a.area()).then(a.vertices[0].cmp(&b.vertices[0])));
     pieces.truncate(MAX_PIECES);
     pieces
-}
-
-/// `from` and all that is connected to it over vertices that `belong`.
-fn connected(graph: &Graph, from: Vec<u32>, taken: &mut [bool], belong: impl Fn(usize) -> bool) -> Vec<u32> {
-    let mut found = from;
-    found.iter().for_each(|&i| taken[i as usize] = true);
-    let mut next = 0;
-    while next < found.len() {
-        let i = found[next] as usize;
-        for &j in graph.neighbours(i) {
-            if !taken[j as usize] && belong(j as usize) {
-                taken[j as usize] = true;
-                found.push(j);
-            }
-        }
-        next += 1;
-    }
-    found
 }
 
 fn vertex_areas(mesh: &Mesh) -> Vec<f32> {

@@ -21,12 +21,12 @@ use recordings::local_light::LightModel;
 pub fn scale_rule(model: LightModel, tuning: &FactorisationTuning) -> String {
     match model {
         LightModel::Distant => scale::rule(tuning),
-        LightModel::Unexplained => "per channel, the brightest segment has albedo 0.75".into(),
-        _ => {
-            "per channel, by the secondary light as it was observed; where there is little, by an albedo of 0.7 of the \
-              brightest large segment"
-                .into()
-        }
+        LightModel::Unexplained => format!("per channel, the brightest segment has albedo {}", choose::BRIGHTEST),
+        _ => format!(
+            "per channel, by the secondary light as it was observed; where there is little, by an albedo of {} of the \
+             brightest large segment",
+            solve::PRIOR_ALBEDO.0
+        ),
     }
 }
 

@@ -1,9 +1,11 @@
 //! The place of a lamp that is not seen: every place costs one more column, so that a lattice of places can be compared; the
 //! best ones are solved in full and refined by a simplex.
 
+use crate::factorisation::Projection;
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples::{self, DARK_FLOOR};
 use crate::light_model::solve::{self, Channel, Rows, Values};
+use crate::numerics::cielab::LUMINANCE;
 use crate::rays::RayScene;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -31,23 +33,27 @@ const CAPPED: f64 = 1.5;
 const NORMALISED: f64 = 10.0;
 
 /// What the search knows of the scene.
-#[derive(Clone, Copy)]
 pub struct Search<'a> {
-    /// Mesh.
-    pub mesh: &'a Mesh,
-    /// The same for rays.
-    pub scene: &'a RayScene,
+    mesh: &'a Mesh,
+    scene: &'a RayScene,
     /// The model that a lamp is added to.
-    pub rows: Rows<'a>,
+    rows: Rows<'a>,
+    projection: Projection,
 }
 
-impl Search<'_> {
+impl<'a> Search<'a> {
+    /// Searches for a lamp that is added to the model of `rows`; `scene` is the mesh for rays.
+    #[must_use]
+    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, rows: Rows<'a>) -> Self {
+        Self { mesh, scene, rows, projection: Projection::new(rows.coefficients) }
+    }
+
     /// The best place, seen as a point; `None` where no place explains anything.
     #[must_use]
     pub fn best_place(&self) -> Option<Vec3> {
-        let luminance = |rgb: &[f64; 3]| 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
+        let luminance = |rgb: &[f64; 3]| LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
         let values = Values::new(&self.rows, luminance);
-        let without = solve::solve_channel(&self.rows, &values, REGULARISATION);
+        let without = solve::solve_channel(&self.rows, &values, &self.projection, REGULARISATION);
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();
         let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
@@ -154,7 +160,7 @@ impl Search<'_> {
         let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere, 1);
         let (shared, columns) = self.rows.with_column(&column);
         let rows = Rows { shared: &shared, columns, ..self.rows };
-        let solved = solve::solve_channel(&rows, values, REGULARISATION);
+        let solved = solve::solve_channel(&rows, values, &self.projection, REGULARISATION);
         let mean: f64 = solved.irradiance.iter().zip(&samples.weight).map(|(e, w)| e * w).sum::<f64>()
             / samples.weight.iter().sum::<f64>().max(1e-30);
         let (mut sum, mut total) = (0.0, 0.0);

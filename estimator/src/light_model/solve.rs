@@ -5,10 +5,9 @@
 //! (`H = Σ_s C_s − B_s B_sᵀ / D_s`) and a quadratic form in the light alone is left. Zero would solve it, so the mean light
 //! is held at 1; the coefficient k of the secondary light, which is known in units of f, then fixes the absolute scale.
 
-use crate::factorisation::directions;
+use crate::factorisation::Projection;
 use crate::light_model::samples::{DARK_FLOOR, Samples};
 use crate::numerics::robust::robust_sigma;
-use crate::numerics::sh;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -25,7 +24,7 @@ const MIN_OBSERVABILITY: f64 = 5e-3;
 /// Lit colours of neighbouring vertices err together: so many samples' weight counts as one measurement.
 const CORRELATED: f64 = 25.0;
 /// Albedo of the brightest large segment where no secondary light fixes the scale, and its deviation.
-const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
+pub(super) const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
 /// A segment of this share of all weight is large.
 const LARGE: f64 = 0.02;
 /// Albedo of that segment at most.
@@ -56,7 +55,7 @@ pub struct Solved {
     pub light: Vec<[f64; 3]>,
     /// Posterior standard deviation, same shape.
     pub standard_deviation: Vec<[f64; 3]>,
-    /// Non-negative radiance over [`directions`].
+    /// Non-negative radiance over [`directions`](crate::factorisation::directions).
     pub radiance: Vec<[f64; 3]>,
     /// Albedo per segment, absolute.
     pub albedo: Vec<[f64; 3]>,
@@ -102,10 +101,10 @@ pub fn blocks(samples: &Samples, error: impl Fn(usize) -> f64) -> Vec<(u32, f64,
 /// Solves every channel with this weight of the regularisation towards the mean radiance.
 #[must_use]
 pub fn solve(rows: &Rows, regularisation: f64) -> Solved {
-    let projection = projection(rows.coefficients);
+    let projection = Projection::new(rows.coefficients);
     let channels: Vec<Channel> = [0, 1, 2]
         .into_par_iter()
-        .map(|c| solve_projected(rows, &Values::new(rows, |rgb| rgb[c]), &projection, regularisation))
+        .map(|c| solve_channel(rows, &Values::new(rows, |rgb| rgb[c]), &projection, regularisation))
         .collect();
     let zip = |count: usize, get: &dyn Fn(&Channel, usize) -> f64| -> Vec<[f64; 3]> {
         (0..count).map(|i| [0, 1, 2].map(|c| get(&channels[c], i))).collect()
@@ -113,31 +112,10 @@ pub fn solve(rows: &Rows, regularisation: f64) -> Solved {
     Solved {
         light: zip(rows.columns, &|c, i| c.light[i]),
         standard_deviation: zip(rows.columns, &|c, i| c.standard_deviation[i]),
-        radiance: zip(projection.ncols(), &|c, i| c.radiance[i]),
+        radiance: zip(projection.matrix().ncols(), &|c, i| c.radiance[i]),
         albedo: zip(rows.samples.segments, &|c, i| c.albedo[i]),
         irradiance: zip(rows.samples.len(), &|c, i| c.irradiance[i]),
     }
-}
-
-/// Solves one channel, or a mean of the channels.
-#[must_use]
-pub fn solve_channel(rows: &Rows, values: &Values, regularisation: f64) -> Channel {
-    solve_projected(rows, values, &projection(rows.coefficients), regularisation)
-}
-
-/// SH coefficients of unit radiance from each of the directions, times its solid angle.
-fn projection(coefficients: usize) -> DMatrix<f64> {
-    let all = directions();
-    let mut project = DMatrix::zeros(coefficients, all.len());
-    let mut y = vec![0.0; coefficients];
-    for (d, direction) in all.iter().enumerate() {
-        if coefficients > 0 {
-            sh::eval(*direction, &mut y);
-        }
-        let solid_angle = 4.0 * std::f64::consts::PI / all.len() as f64;
-        project.column_mut(d).iter_mut().zip(&y).for_each(|(p, y)| *p = y * solid_angle);
-    }
-    project
 }
 
 /// Colours of one channel: `[sample]`, and `[segment]` for the medians.
@@ -169,7 +147,7 @@ pub struct Channel {
     pub light: Vec<f64>,
     /// Posterior standard deviation of `light`.
     pub standard_deviation: Vec<f64>,
-    /// Over [`directions`].
+    /// Over [`directions`](crate::factorisation::directions).
     pub radiance: Vec<f64>,
     /// `[segment]`.
     pub albedo: Vec<f64>,
@@ -177,7 +155,10 @@ pub struct Channel {
     pub irradiance: Vec<f64>,
 }
 
-fn solve_projected(rows: &Rows, values: &Values, projection: &DMatrix<f64>, regularisation: f64) -> Channel {
+/// Solves one channel, or a mean of the channels. `projection` is that of the rows' SH columns.
+#[must_use]
+pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regularisation: f64) -> Channel {
+    let projection = projection.matrix();
     let Rows { samples, coefficients, columns, shared, .. } = *rows;
     let Values { color, medians, secondary } = values;
     let (count, dim) = (samples.len(), columns + 1);

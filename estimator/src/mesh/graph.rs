@@ -1,5 +1,6 @@
 //! The mesh as a graph: vertices that share a triangle edge are neighbours.
 
+use glam::Vec3;
 use recordings::types::Mesh;
 
 /// Vertex adjacency in compressed sparse rows, ascending within a row.
@@ -83,14 +84,20 @@ impl Graph {
 
     /// The unvisited vertices connected to `start` through unvisited ones, breadth first; marks them as visited.
     pub fn component(&self, start: usize, visited: &mut [bool]) -> Vec<usize> {
-        let mut list = vec![start];
-        visited[start] = true;
+        self.grow(vec![start], visited, |_| true)
+    }
+
+    /// `from` and the unvisited vertices connected to it through unvisited ones that are `passable`, breadth first; marks
+    /// them as visited.
+    pub fn grow(&self, from: Vec<usize>, visited: &mut [bool], passable: impl Fn(usize) -> bool) -> Vec<usize> {
+        let mut list = from;
+        list.iter().for_each(|&i| visited[i] = true);
         let mut next = 0;
         while next < list.len() {
-            for &n in self.neighbours(list[next]) {
-                if !visited[n as usize] {
-                    visited[n as usize] = true;
-                    list.push(n as usize);
+            for n in self.neighbours(list[next]).iter().map(|&n| n as usize) {
+                if !visited[n] && passable(n) {
+                    visited[n] = true;
+                    list.push(n);
                 }
             }
             next += 1;
@@ -102,17 +109,26 @@ impl Graph {
     #[must_use]
     pub fn flood(&self, start: usize, passable: impl Fn(usize) -> bool) -> Vec<bool> {
         let mut inside = vec![false; self.vertices()];
-        let mut open = vec![start];
-        inside[start] = true;
-        while let Some(v) = open.pop() {
-            for &n in self.neighbours(v) {
-                if !inside[n as usize] && passable(n as usize) {
-                    inside[n as usize] = true;
-                    open.push(n as usize);
-                }
-            }
-        }
+        self.grow(vec![start], &mut inside, passable);
         inside
+    }
+
+    /// Gives vertices without a colour the mean of their neighbours' colours, ring by ring, at most `rings` times.
+    pub fn fill(&self, colors: &mut [Option<Vec3>], rings: usize) {
+        let mut open: Vec<usize> = (0..colors.len()).filter(|&i| colors[i].is_none()).collect();
+        for _ in 0..rings {
+            let around = |i: usize| self.neighbours(i).iter().filter_map(|&j| colors[j as usize]);
+            let mean = |&i: &usize| {
+                let (sum, count) = around(i).fold((Vec3::ZERO, 0.0), |(s, n), c| (s + c, n + 1.0));
+                (count > 0.0).then(|| (i, sum / count))
+            };
+            let reached: Vec<(usize, Vec3)> = open.iter().filter_map(mean).collect();
+            if reached.is_empty() {
+                break;
+            }
+            reached.into_iter().for_each(|(i, color)| colors[i] = Some(color));
+            open.retain(|&i| colors[i].is_none());
+        }
     }
 }
 
@@ -132,7 +148,6 @@ pub fn vertex_spacing(mesh: &Mesh, graph: &Graph, fallback: f32) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     #[test]
     fn every_edge_once_in_both_directions() {

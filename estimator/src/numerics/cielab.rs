@@ -2,10 +2,13 @@
 
 use glam::Vec3;
 
+/// Weights of R, G and B in the relative luminance (Rec. 709).
+pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
+
 /// Relative luminance Y.
 #[must_use]
 pub fn luminance(c: Vec3) -> f32 {
-    c.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+    c.dot(Vec3::from(LUMINANCE.map(|x| x as f32)))
 }
 
 /// L*, 0 … 100, of a relative luminance.

@@ -207,18 +207,12 @@ pub(crate) fn format_camera(sensor: &Sensor) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::text_file;
     use proptest::prelude::*;
-
-    fn write(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("file.txt");
-        std::fs::write(&path, text).unwrap();
-        (dir, path)
-    }
 
     #[test]
     fn camera_file_with_distortion() {
-        let (_dir, path) = write(
+        let (_dir, path) = text_file(
             "# fx fy cx cy depth_scale(png units per metre) width height\n517.3 516.5 318.6 255.3 5000 640 480\n\
              # colour is distorted: radial-tangential k1 k2 p1 p2 k3 = 0.2624 -0.9531 -0.0054 0.0026 1.1633 (fr1); more\n",
         );
@@ -235,7 +229,7 @@ mod tests {
 
     #[test]
     fn camera_files_come_back() {
-        let (_dir, path) = write("517.3 516.5 318.6 255.3 5000 640 480");
+        let (_dir, path) = text_file("517.3 516.5 318.6 255.3 5000 640 480");
         let mut sensor = read_camera(&path).unwrap();
         sensor.color.distortion = Distortion { k1: 0.1, k2: -1e-9, p1: 1.0 / 3.0, p2: 0.0, k3: 2.0 };
         sensor.depth_unit_m = 0.001;
@@ -267,7 +261,7 @@ mod tests {
             "525 525 320 240 5000 640 480\n# k1 k2 p1 p2 k3 = 1 2 3",
             "525 525 320 240 5000 640 480\n# k1 k2 p1 p2 k3 = 1 2 3 4 inf",
         ] {
-            let (_dir, path) = write(text);
+            let (_dir, path) = text_file(text);
             let message = read_camera(&path).unwrap_err().to_string();
             assert!(message.contains("fx fy cx cy depth_scale width height"), "{text}: {message}");
         }
@@ -277,7 +271,7 @@ mod tests {
     proptest! {
         #[test]
         fn any_text_is_read_or_refused(text in "[0-9eE.+#= \\-k1p2\n/a]{0,60}") {
-            let (_dir, path) = write(&text);
+            let (_dir, path) = text_file(&text);
             let _ = read_camera(&path);
         }
     }

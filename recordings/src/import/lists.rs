@@ -96,6 +96,7 @@ pub(crate) fn read_list(path: &Path) -> Result<Vec<(TimestampNs, String)>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::text_file;
     use proptest::prelude::*;
 
     #[test]
@@ -123,16 +124,9 @@ mod tests {
         }
     }
 
-    fn write(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("file.txt");
-        std::fs::write(&path, text).unwrap();
-        (dir, path)
-    }
-
     #[test]
     fn lists_may_be_commented_windows_made_and_unsorted() {
-        let (_dir, path) = write("# colour\r\n\r\n2.5 rgb/b name.png\r\n1.5\trgb/a.png\r\n  \n2.5   rgb/c.png");
+        let (_dir, path) = text_file("# colour\r\n\r\n2.5 rgb/b name.png\r\n1.5\trgb/a.png\r\n  \n2.5   rgb/c.png");
         let list = read_list(&path).unwrap();
         let expected = [(1_500_000_000, "rgb/a.png"), (2_500_000_000, "rgb/b name.png"), (2_500_000_000, "rgb/c.png")];
         assert_eq!(list.iter().map(|(t, n)| (*t, n.as_str())).collect::<Vec<_>>(), expected);
@@ -148,7 +142,7 @@ mod tests {
             ("1.0 ../../etc/passwd", "outside the folder"),
             ("1.0 /etc/passwd", "outside the folder"),
         ] {
-            let (_dir, path) = write(text);
+            let (_dir, path) = text_file(text);
             let message = read_list(&path).unwrap_err().to_string();
             assert!(message.contains(part) && message.contains("file.txt"), "{message}");
         }
@@ -164,7 +158,7 @@ mod tests {
         #[test]
         fn any_text_is_read_or_refused(text in "[0-9eE.+#= \\-k1p2\n/a]{0,60}") {
             let _ = parse_seconds(&text);
-            let (_dir, path) = write(&text);
+            let (_dir, path) = text_file(&text);
             let _ = read_list(&path);
         }
     }

@@ -1,9 +1,9 @@
 //! The files of scenes and results: NumPy arrays, pictures, meshes, JSON.
 
 use glam::Vec3;
+use recordings::ply::write::write_ply;
 use recordings::types::{Mesh, Pose, RgbImage};
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 
@@ -118,116 +118,16 @@ pub fn pose(value: &Value) -> Option<Pose> {
 /// # Errors
 /// The file cannot be written.
 pub fn write_mesh(path: &Path, mesh: &Mesh) -> io::Result<()> {
-    let names = ["x", "y", "z", "nx", "ny", "nz"].map(|n| format!("property float {n}\n")).concat();
-    let mut out = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n{names}element face {}\nproperty list uchar int vertex_indices\nend_header\n",
-        mesh.positions.len(),
-        mesh.triangles.len()
-    )
-    .into_bytes();
-    for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
-        out.extend([p, n].into_iter().flat_map(|v| v.to_array()).flat_map(f32::to_le_bytes));
-    }
-    for triangle in &mesh.triangles {
-        out.push(3);
-        out.extend(triangle.iter().flat_map(|i| i.to_le_bytes()));
-    }
-    std::fs::write(path, out)
-}
-
-/// A binary little-endian mesh with any numbers at its vertices.
-#[derive(Debug)]
-pub struct Table {
-    /// Columns by name.
-    pub columns: BTreeMap<String, Vec<f32>>,
-    /// Triangles.
-    pub triangles: Vec<[u32; 3]>,
-}
-
-impl Table {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// The file cannot be read or is of another kind.
-    pub fn read(path: &Path) -> io::Result<Self> {
-        let bytes = std::fs::read(path)?;
-        Self::parse(&bytes).ok_or_else(|| io::Error::other(format!("{}: not a mesh that can be read", path.display())))
-    }
-
-    fn parse(bytes: &[u8]) -> Option<Self> {
-        const END: &[u8] = b"end_header\n";
-        let body = bytes.windows(END.len()).position(|w| w == END)? + END.len();
-        let header = std::str::from_utf8(&bytes[..body]).ok()?;
-        let (mut counts, mut names, mut index_size) = (Vec::new(), Vec::new(), 4);
-        for line in header.lines() {
-            match line.split(' ').collect::<Vec<_>>()[..] {
-                ["element", _, count] => counts.push(count.parse::<usize>().ok()?),
-                ["property", "list", _, kind, _] => index_size = size(kind)?,
-                ["property", kind, name] => names.push((kind, name)),
-                _ => {}
-            }
-        }
-        let [vertices, faces] = counts[..] else { return None };
-        let mut columns: Vec<Vec<f32>> = vec![Vec::with_capacity(vertices); names.len()];
-        let mut at = body;
-        for _ in 0..vertices {
-            for ((kind, _), column) in names.iter().zip(&mut columns) {
-                let raw = bytes.get(at..at + size(kind)?)?;
-                at += raw.len();
-                column.push(match *kind {
-                    "float" => f32::from_le_bytes(raw.try_into().ok()?),
-                    "int" => i32::from_le_bytes(raw.try_into().ok()?) as f32,
-                    _ => f32::from(raw[0]),
-                });
-            }
-        }
-        let mut triangles = Vec::with_capacity(faces);
-        for _ in 0..faces {
-            let raw = bytes.get(at + 1..at + 1 + 3 * index_size)?;
-            at += 1 + raw.len();
-            let index = |k: usize| {
-                let mut whole = [0; 4];
-                whole[..index_size].copy_from_slice(&raw[k * index_size..(k + 1) * index_size]);
-                u32::from_le_bytes(whole)
-            };
-            triangles.push([index(0), index(1), index(2)]);
-        }
-        let columns = names.iter().map(|(_, n)| (*n).to_owned()).zip(columns).collect();
-        Some(Self { columns, triangles })
-    }
-
-    /// Three columns as vectors.
-    #[must_use]
-    pub fn vectors(&self, names: [&str; 3]) -> Option<Vec<Vec3>> {
-        let [x, y, z] = names.map(|n| self.columns.get(n));
-        let (x, y, z) = (x?, y?, z?);
-        Some((0..x.len()).map(|i| Vec3::new(x[i], y[i], z[i])).collect())
-    }
-
-    /// The mesh.
-    #[must_use]
-    pub fn mesh(&self) -> Option<Mesh> {
-        Some(Mesh {
-            positions: self.vectors(["x", "y", "z"])?,
-            normals: self.vectors(["nx", "ny", "nz"])?,
-            triangles: self.triangles.clone(),
-        })
-    }
-}
-
-fn size(kind: &str) -> Option<usize> {
-    match kind {
-        "float" | "int" | "uint" => Some(4),
-        "short" | "ushort" => Some(2),
-        "char" | "uchar" => Some(1),
-        _ => None,
-    }
+    let mut bytes = Vec::new();
+    write_ply(&mut bytes, "generated scene", mesh, &[])?;
+    std::fs::write(path, bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use recordings::import::npy::Array;
+    use recordings::ply::read::read_ply;
 
     #[test]
     fn arrays_and_meshes_come_back() {
@@ -239,6 +139,6 @@ mod tests {
         let mesh = Mesh { positions: vec![Vec3::X; 3], normals: vec![Vec3::Z; 3], triangles: vec![[0, 2, 1]] };
         let path = dir.path().join("a.ply");
         write_mesh(&path, &mesh).expect("written");
-        assert_eq!(Table::read(&path).expect("read").mesh().expect("a mesh"), mesh);
+        assert_eq!(read_ply(&path).expect("a mesh"), mesh);
     }
 }

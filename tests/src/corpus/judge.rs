@@ -1,7 +1,7 @@
 //! An exported result folder beside the scene it was made from. The figures are those of the independent scorer of the
 //! shared truth scenes; only what the exported files say is judged.
 
-use super::files::{Table, pose, read_json, read_mask};
+use super::files::{pose, read_json, read_mask};
 use super::produce::{MOST_ALBEDO, RERENDER_RAYS, VIEW_NAMES, median_ratio, read_environment};
 use super::rerender::{Rerender, View, gain_for, psnr};
 use crate::metrics::{self, median, percentile};
@@ -9,6 +9,7 @@ use crate::synth::emitters::{Portal, Sphere};
 use crate::synth::environment::luminance;
 use glam::{DQuat, DVec3, Vec3};
 use recordings::import::npy::Array;
+use recordings::ply::read::{parse_ply, read_ply};
 use recordings::types::{Intrinsics, Mesh, Pose};
 use serde_json::{Map, Value, json};
 use std::collections::HashMap;
@@ -17,8 +18,6 @@ use std::path::Path;
 
 /// Keyframes that must see a vertex for it to count.
 const LEAST_VIEWS: f64 = 2.0;
-/// Matched vertices that a segment has at least to count in the area under the curve.
-const LEAST_SEGMENT: usize = 20;
 /// A vertex of another mesh matches within this many edges, and within this distance at least, metres; its normal within
 /// this cosine.
 const MATCH_EDGES: f32 = 1.5;
@@ -49,7 +48,16 @@ struct Found {
 
 impl Found {
     fn read(folder: &Path) -> Fallible<Self> {
-        let table = Table::read(&folder.join("vertices.ply"))?;
+        const ALBEDO: [&str; 3] = ["albedo_r", "albedo_g", "albedo_b"];
+        const EMISSION: [&str; 3] = ["emission_r", "emission_g", "emission_b"];
+        let bytes = std::fs::read(folder.join("vertices.ply"))?;
+        let (mesh, columns) = parse_ply(&bytes, &[&ALBEDO[..], &EMISSION, &["segment"]].concat())?;
+        let column = |name: &str| columns.iter().find(|c| c.name == name).map(|c| &c.values);
+        let vectors = |names: [&str; 3]| {
+            let [x, y, z] = names.map(column);
+            let (x, y, z) = (x?, y?, z?);
+            Some((0..x.len()).map(|i| Vec3::new(x[i], y[i], z[i])).collect::<Vec<Vec3>>())
+        };
         let missing = |name: &str| format!("{}: no {name}", folder.display());
         let document =
             |name: &str| -> Fallible<Value> { Ok(read_json(&folder.join(name))?.ok_or_else(|| missing(name))?) };
@@ -69,16 +77,10 @@ impl Found {
             Some(Sphere { center: vector(&v["center"])?, radius_m, radiance: vector(&v["radiance"])? })
         };
         Ok(Self {
-            mesh: table.mesh().ok_or_else(|| missing("normals"))?,
-            albedo: table.vectors(["albedo_r", "albedo_g", "albedo_b"]).ok_or_else(|| missing("albedo"))?,
-            emission: table.vectors(["emission_r", "emission_g", "emission_b"]),
-            segment: table
-                .columns
-                .get("segment")
-                .ok_or_else(|| missing("segment"))?
-                .iter()
-                .map(|s| *s as u32)
-                .collect(),
+            mesh,
+            albedo: vectors(ALBEDO).ok_or_else(|| missing("albedo"))?,
+            emission: vectors(EMISSION),
+            segment: column("segment").ok_or_else(|| missing("segment"))?.iter().map(|s| *s as u32).collect(),
             gloss: rows(&materials["segments"]).iter().map(|s| (number(&s["id"]) as u32, number(&s["w_s"]))).collect(),
             light: serde_json::from_value(light["coefficients"].clone())?,
             spheres: rows(&light["spheres"]).iter().filter_map(sphere).collect(),
@@ -139,7 +141,7 @@ impl Truth {
                 rows(&read_json(&scene.join("keyframes.json"))?.unwrap_or_default()["frames"]).iter().map(at).collect();
             log_gain = rows(&document("exposures.json")?["gain"]).iter().map(log).collect();
         }
-        let mesh = Table::read(&scene.join("mesh.ply"))?.mesh().ok_or("the scene's mesh has no normals")?;
+        let mesh = read_ply(&scene.join("mesh.ply"))?;
         let emission = truth.join("emission.npy");
         let emitting = if emission.is_file() {
             vectors(&emission).iter().map(|e| *e != Vec3::ZERO).collect()
@@ -232,7 +234,9 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
     put("naive_albedo_median", truth.reference["naive_albedo"]["median"].as_f64().unwrap_or(f64::NAN));
     put("naive_albedo_p90", truth.reference["naive_albedo"]["p90"].as_f64().unwrap_or(f64::NAN));
     put("ari", metrics::adjusted_rand_index(&material, &segment));
-    put("gloss_auc", gloss_auc(&found, &truth, &segment, &material).unwrap_or(f64::NAN));
+    let glossy = segment.iter().zip(&material).map(|(s, m)| (*s, truth.glossy[*m as usize]));
+    let auc = metrics::gloss_auc(glossy, |s| found.gloss.get(&s).copied().unwrap_or(0.0));
+    put("gloss_auc", auc.unwrap_or(f64::NAN));
 
     // Light on the surface, and held-out views.
     let albedo: Vec<Vec3> =
@@ -330,34 +334,15 @@ fn pose_error(found: &[Pose], truth: &[Pose]) -> (f64, f64) {
 /// Mean over the keyframes of the median shift of the surface's image, pixels.
 fn pixel_error(truth: &Truth, found: &[Pose]) -> f64 {
     const EVERY: usize = 7;
-    let camera = &truth.camera;
-    let project = |pose: &Pose, p: DVec3| {
-        let q = pose.rotation.conjugate() * (p - pose.translation);
-        (q.z > 0.1).then(|| glam::DVec2::new(camera.fx * q.x / q.z, camera.fy * q.y / q.z))
-    };
-    let half = glam::DVec2::new(f64::from(camera.width), f64::from(camera.height)) * 0.5;
-    let shifts: Vec<f64> = found
-        .iter()
-        .zip(&truth.poses)
-        .map(|(f, t)| {
-            let shift = |p: &Vec3| {
-                let (a, b) = (project(f, p.as_dvec3())?, project(t, p.as_dvec3())?);
-                b.abs().cmplt(half).all().then(|| a.distance(b))
-            };
-            median(&truth.mesh.positions.iter().step_by(EVERY).filter_map(shift).collect::<Vec<_>>())
-        })
-        .filter(|x| x.is_finite())
-        .collect();
+    let shifts = metrics::pixel_shifts(&truth.camera, &truth.mesh.positions, EVERY, found, &truth.poses);
+    let shifts: Vec<f64> = shifts.into_iter().filter(|x| x.is_finite()).collect();
     shifts.iter().sum::<f64>() / shifts.len().max(1) as f64
 }
 
 /// RMS of the log gains after one factor, and the same if all gains were alike.
 fn exposure_error(found: &[f64], truth: &[f64]) -> (f64, f64) {
-    let rms = |values: Vec<f64>| {
-        let middle = median(&values);
-        (values.iter().map(|v| (v - middle) * (v - middle)).sum::<f64>() / values.len().max(1) as f64).sqrt()
-    };
-    (rms(found.iter().zip(truth).map(|(f, t)| f - t).collect()), rms(truth.to_vec()))
+    let differences: Vec<f64> = found.iter().zip(truth).map(|(f, t)| f - t).collect();
+    (metrics::rms_about_median(&differences), metrics::rms_about_median(truth))
 }
 
 /// Relative error of the coefficients after one factor a channel.
@@ -410,19 +395,6 @@ fn matched(mesh: &Mesh, of: &[usize], other: &Mesh) -> Vec<(usize, usize)> {
         (p.distance(other.positions[*best]) < limit(i)).then_some((i, *best))
     };
     of.iter().filter_map(nearest).collect()
-}
-
-/// A segment is glossy if most of its matched vertices are.
-fn gloss_auc(found: &Found, truth: &Truth, segment: &[u32], material: &[u32]) -> Option<f64> {
-    let mut counts: HashMap<u32, [usize; 2]> = HashMap::new();
-    for (s, m) in segment.iter().zip(material) {
-        counts.entry(*s).or_default()[usize::from(truth.glossy[*m as usize])] += 1;
-    }
-    let mut judged: Vec<(u32, [usize; 2])> = counts.into_iter().filter(|(_, c)| c[0] + c[1] >= LEAST_SEGMENT).collect();
-    judged.sort_unstable();
-    let score: Vec<f64> = judged.iter().map(|(s, _)| found.gloss.get(s).copied().unwrap_or(0.0)).collect();
-    let label: Vec<bool> = judged.iter().map(|(_, [matte, glossy])| glossy > matte).collect();
-    metrics::area_under_curve(&score, &label)
 }
 
 /// Median and 90th percentile of the relative error of irradiance at the truth's vertices, one factor a channel; emitting

@@ -4,6 +4,7 @@
 //! Lamps are found by CLEAN (Högbom, "Aperture Synthesis with a Non-Regular Distribution of Interferometer Baselines",
 //! A&AS 15, 1974): the brightest direction of the residual gets a small lamp, its blurred image is subtracted, and again.
 
+use crate::numerics::cielab::{LUMINANCE, luminance};
 use crate::numerics::{robust, sh};
 use crate::render::lighting::environment::{Environment, SIDE, direction};
 use crate::render::lighting::observed_background::ObservedTexel;
@@ -14,7 +15,6 @@ use recordings::result::Light;
 
 /// Directions that are searched for peaks.
 const DIRECTIONS: usize = 4000;
-const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// Light of a result with the background that its keyframes observed (`[texel]`, or empty).
 #[must_use]
@@ -76,7 +76,6 @@ pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTun
 /// Few bands ring, and each channel does so for itself: what falls below its floor is drawn towards the even level's hue
 /// at its own luminance, until no channel does.
 fn within(light: Vec3, even: Vec3, lowest: f32) -> Vec3 {
-    let luminance = |v: Vec3| v.dot(Vec3::from(LUMINANCE.map(|x| x as f32)));
     let floor = even * lowest;
     let level = (luminance(light) / luminance(even).max(f32::MIN_POSITIVE)).max(lowest);
     let grey = even * level;

@@ -3,6 +3,7 @@
 //! Directions are kept on an octahedral square (Cigolle et al., "A Survey of Efficient Representations for Independent
 //! Unit Vectors", JCGT 2014): cheap to look up, without poles.
 
+use crate::numerics::cielab::luminance;
 use crate::numerics::sh;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -12,7 +13,6 @@ use recordings::result::Light;
 pub const SIDE: usize = 256;
 /// Texels along a side of a light that is known by few directions or coefficients.
 const SMOOTH_SIDE: usize = 64;
-const LUMINANCE: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
 
 /// Distant light.
 #[derive(Debug, Clone)]
@@ -145,7 +145,7 @@ impl Environment {
             let mut sum = 0.0f64;
             for x in 0..SIDE {
                 let i = y * SIDE + x;
-                sum += f64::from(radiance[i].dot(LUMINANCE) * unfold(texel_center(i, SIDE)).1 * area);
+                sum += f64::from(luminance(radiance[i]) * unfold(texel_center(i, SIDE)).1 * area);
                 columns[i] = sum as f32;
             }
             flux += sum;
@@ -194,7 +194,7 @@ impl Environment {
         let i = texel(direction);
         // Within a texel the density is even over the square, not over the sphere.
         let here = 1.0 / unfold(fold(direction)).1;
-        self.radiance[i].dot(LUMINANCE) * unfold(texel_center(i, SIDE)).1 * here / self.flux
+        luminance(self.radiance[i]) * unfold(texel_center(i, SIDE)).1 * here / self.flux
     }
 
     /// Spherical harmonics of the light: `bands²` rows of RGB coefficients.
