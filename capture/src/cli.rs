@@ -5,6 +5,7 @@ mod settings;
 
 use crate::orders::Request;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use estimator::Reference;
 use std::path::PathBuf;
 
 pub use render::{RemovalTarget, Render};
@@ -167,7 +168,8 @@ Uses the settings stored in the scan. The last line on stdout is the result's pa
 Examples:
   lumiscan estimate ball.lscan
   lumiscan estimate ball.lscan -o draft.lres --budget 10
-  lumiscan estimate ball.lscan --rounds 4 --threads 1")]
+  lumiscan estimate ball.lscan --rounds 4 --threads 1
+  lumiscan estimate ball.lscan --reference keyframe:2:320,200=0.9")]
 pub struct Estimate {
     /// A scan (.lscan).
     pub scan: PathBuf,
@@ -180,6 +182,10 @@ pub struct Estimate {
     /// Write the viewer page, too (`replay` publishes it as viewer.html).
     #[arg(long, value_name = "FILE", hide = true)]
     pub viewer: Option<PathBuf>,
+    /// A thing of known albedo in a picture, such as white paper, fixes the scale of the albedo: pixel X,Y of keyframe N
+    /// shows diffuse albedo A (linear), one number or R,G,B. The viewer page tells this line for a click.
+    #[arg(long, value_name = "keyframe:N:X,Y=A")]
+    pub reference: Option<Reference>,
     /// Limits.
     #[command(flatten)]
     pub effort: Effort,

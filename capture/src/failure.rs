@@ -1,5 +1,6 @@
 //! Why a command ends, and its exit code.
 
+use estimator::EstimateError;
 use std::fmt::Display;
 use std::path::Path;
 
@@ -54,6 +55,16 @@ impl Failure {
         let text = payload.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
         Self::Internal(format!("internal error: {text}; please report this with the command and its input"))
+    }
+
+    /// For a scan that cannot be estimated.
+    pub fn estimating(scan: impl Display, error: EstimateError) -> Self {
+        match error {
+            EstimateError::Unusable(problem) => Self::Unusable(format!("{scan}: {problem}")),
+            EstimateError::NoReference(problem) => Self::Input(format!(
+                "{scan}: {problem}; choose a pixel of a surface that the pictures show (a click in the viewer page tells one)"
+            )),
+        }
     }
 
     /// For an output that could not be written.

@@ -82,8 +82,13 @@ fn main() {
         let (_, bounces) = timed(|| transfer::bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0));
         let gi = shade + bounces;
         let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
-        let colors =
-            Colors { lit_color: &fields.lit_color, lit_weight: &fields.lit_weight, segment: &segment, segments };
+        let colors = Colors {
+            lit_color: &fields.lit_color,
+            lit_weight: &fields.lit_weight,
+            segment: &segment,
+            segments,
+            known: None,
+        };
         let options = FactorisationOptions {
             gi: true,
             bands: sh::MAX_BANDS,
@@ -94,7 +99,7 @@ fn main() {
         };
         let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &options, None));
         drop(fields);
-        let options = Options { budget: Duration::from_secs(3600), rounds: None };
+        let options = Options { budget: Duration::from_secs(3600), rounds: None, reference: None };
         let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &()).expect("an answer"));
         all_in.push((mesh.positions.len() as f64, whole.y));
         let total = gi + segmentation + iteration;

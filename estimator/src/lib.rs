@@ -12,7 +12,7 @@
 //! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../recordings/data/tiny.lscan");
 //! let scan = Scan::read(path.as_ref())?;
 //! // A fixed number of ray rounds instead of the clock: the result is the same on every run.
-//! let options = Options { budget: Duration::from_secs(120), rounds: Some(1) };
+//! let options = Options { budget: Duration::from_secs(120), rounds: Some(1), reference: None };
 //! let result = estimate(&scan, &EstimatorConfig::default(), &options, &())?;
 //! assert_eq!(result.albedo.len(), result.mesh.positions.len());
 //! assert_eq!(result.light.coefficients.len() as u32, result.light.bands().pow(2));
@@ -49,7 +49,7 @@ use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Arc;
 
-pub use api::{EstimateError, Options, Progress};
+pub use api::{EstimateError, Options, Progress, Reference};
 
 /// Estimates light and materials on this machine.
 ///
@@ -104,6 +104,7 @@ pub fn estimate_on(
     // Frames that no step used.
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
+    prepared.decisions.push(answer.found.scale.clone());
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
     prepared.warnings.extend(stages::unseen_light(&answer.found, config));
 
@@ -124,7 +125,7 @@ pub fn estimate_on(
         decisions: prepared.decisions,
         cuts: run.plan.cuts(),
         warnings: prepared.warnings,
-        albedo_scale_rule: light_model::scale_rule(local_light.model, &config.tuning.factorisation),
+        albedo_scale_rule: answer.found.scale.text().choice,
         witnesses,
         local_light,
     })

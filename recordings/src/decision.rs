@@ -214,6 +214,38 @@ pub enum Decision {
         /// Vertices compared.
         samples: u32,
     },
+    /// The factor per channel that albedo × light leaves free.
+    AlbedoScale {
+        /// What fixed it.
+        chosen: ScaleBasis,
+        /// Median irradiance of the seen surface by channel; geometric mean 1.
+        irradiance_color: [f64; 3],
+        /// Mean albedo of the seen surface by channel; geometric mean 1.
+        albedo_color: [f64; 3],
+        /// Share of the seen surface that counts as near white.
+        near_white: f64,
+        /// Share of the seen vertices whose albedo has less luminance than `brightest`.
+        quantile: f64,
+        /// Luminance of the albedo at that share.
+        brightest: f64,
+        /// Seen vertices.
+        vertices: u32,
+    },
+}
+
+/// What fixed the scale of the albedo.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleBasis {
+    /// What is likely of cameras, light and surfaces.
+    Likely,
+    /// The secondary light as it was observed.
+    SecondaryLight,
+    /// A surface whose albedo the user stated.
+    Reference {
+        /// Its albedo, linear RGB.
+        albedo: [f64; 3],
+    },
 }
 
 /// A model of the light that was tried.

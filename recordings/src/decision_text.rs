@@ -1,8 +1,8 @@
 //! Sentences for decisions, cuts and warnings: the one place where they are worded. Programs read the types.
 
 use crate::decision::{
-    BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest, TransferNext,
-    Warning,
+    BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest, ScaleBasis,
+    TransferNext, Warning,
 };
 use crate::local_light::LightModel;
 use crate::types::Response;
@@ -84,6 +84,7 @@ impl Decision {
             Self::Witnesses { .. } => "witnesses",
             Self::Transfer { .. } => "transfer",
             Self::LightModel { .. } => "light model",
+            Self::AlbedoScale { .. } => "albedo scale",
         }
     }
 
@@ -107,6 +108,16 @@ impl Decision {
             Self::Witnesses { refined: false, .. } => "as tracked".into(),
             Self::Transfer { chosen, .. } => chosen.to_string(),
             Self::LightModel { chosen, .. } => rung(*chosen).into(),
+            Self::AlbedoScale { chosen: ScaleBasis::Likely, brightest, quantile, .. } => format!(
+                "light and surfaces neutral on the whole, albedo luminance {brightest:.2} at the {:.0} % quantile",
+                100.0 * quantile
+            ),
+            Self::AlbedoScale { chosen: ScaleBasis::SecondaryLight, .. } => {
+                "by the secondary light as it was observed, light and surfaces neutral on the whole".into()
+            }
+            Self::AlbedoScale { chosen: ScaleBasis::Reference { albedo }, .. } => {
+                format!("by the reference, whose albedo is {}", list(albedo, 3))
+            }
         }
     }
 
@@ -191,6 +202,14 @@ impl Decision {
                     ladder.iter().map(|r| format!("{} {:.4}", rung(r.model), r.held_out)).collect();
                 format!("mean relative error on held-out blocks of surface: {}", tried.join(", "))
             }
+            Self::AlbedoScale { irradiance_color, albedo_color, near_white, quantile, brightest, .. } => format!(
+                "colour of the median irradiance {}, of the mean albedo {}; {:.0} % of the seen surface is near white; the \
+                 {:.0} % quantile of the albedo's luminance is {brightest:.2}",
+                list(irradiance_color, 2),
+                list(albedo_color, 2),
+                100.0 * near_white,
+                100.0 * quantile,
+            ),
         }
     }
 
@@ -211,6 +230,7 @@ impl Decision {
             Self::DistantLight { vertices, .. } => format!("{vertices} vertices"),
             Self::Witnesses { frames, .. } => format!("{frames} frames rendered"),
             Self::LightModel { samples, ladder, .. } => format!("{} models, {samples} vertices each", ladder.len()),
+            Self::AlbedoScale { vertices, .. } => format!("{vertices} vertices"),
         }
     }
 
@@ -251,7 +271,10 @@ impl Decision {
                     format!("twice the rays: relative standard error about {relative_error:.3}")
                 }
             },
-            Self::LightModel { .. } => String::new(),
+            Self::LightModel { .. } | Self::AlbedoScale { chosen: ScaleBasis::Reference { .. }, .. } => String::new(),
+            Self::AlbedoScale { .. } => {
+                "a surface of known albedo, stated with `estimate --reference keyframe:N:X,Y=ALBEDO`".into()
+            }
         }
     }
 }

@@ -127,6 +127,15 @@ pub(crate) fn decisions() -> Vec<Decision> {
         bounced,
         next,
     };
+    let scale = |chosen| Decision::AlbedoScale {
+        chosen,
+        irradiance_color: [1.04, 1.0, 0.96],
+        albedo_color: [1.3, 1.0, 0.77],
+        near_white: 0.12,
+        quantile: 0.98,
+        brightest: 0.8,
+        vertices: 9000,
+    };
     let bounced = BouncedLight { bounces: 8, share: 0.1, last_share: 5e-4 };
     vec![
         Decision::Text(old),
@@ -184,6 +193,9 @@ pub(crate) fn decisions() -> Vec<Decision> {
             ],
             samples: 5000,
         },
+        scale(ScaleBasis::Likely),
+        scale(ScaleBasis::SecondaryLight),
+        scale(ScaleBasis::Reference { albedo: [0.9, 0.9, 0.8] }),
     ]
 }
 

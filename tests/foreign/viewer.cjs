@@ -102,6 +102,20 @@ const set = (tab, id, value) => tab.evaluate(([id, value]) => {
   const picked = await tab.evaluate(() => window.lumiscan.click(0.5, 0.6));
   check(Number.isInteger(picked), "a click picks nothing");
   check(/Segment \d+/.test(await tab.textContent("#told")), "a click tells nothing");
+  // A click there from the keyframe that it names tells the same pixel again.
+  const reference = async () => (await tab.textContent("#told")).match(/--reference keyframe:(\d+):(\d+),(\d+)=0\.9$/)?.slice(1).map(Number);
+  const first = await reference();
+  check(first, "a click tells no reference");
+  if (first) {
+    const [k, x, y] = first;
+    await tab.evaluate(([k, x, y]) => {
+      const { width, height } = JSON.parse(document.getElementById("facts").textContent).keyframes[k];
+      window.lumiscan.view(k); window.lumiscan.click((x + 0.5) / width, (y + 0.5) / height);
+    }, [k, x, y]);
+    const again = await reference();
+    check(again && again[0] === k && Math.abs(again[1] - x) <= 1 && Math.abs(again[2] - y) <= 1, `a reference ${first} became ${again}`);
+    await set(tab, "keyframe", "0");
+  }
   await keep(tab, "before");
   for (const kind of ["mirror", "grey"]) {
     await set(tab, "click", kind);

@@ -10,7 +10,6 @@ use crate::estimator_process::Summary;
 use crate::failure::Failure;
 use crate::memory;
 use crate::report::Reporter;
-use estimator::EstimateError;
 use estimator::Options;
 use estimator::Progress;
 use firmware_config::Config;
@@ -39,10 +38,13 @@ pub fn run(args: &cli::Estimate, json: bool, reporter: &Reporter) -> Result<(), 
     if let Some(point) = args.effort.quality {
         config.estimator.quality = point.setting();
     }
-    let options = Options { budget: budget.saturating_sub(started.elapsed()), rounds: args.effort.rounds };
-    let result = estimator::estimate(&scan, &config.estimator, &options, reporter).map_err(|e| match e {
-        EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
-    })?;
+    let options = Options {
+        budget: budget.saturating_sub(started.elapsed()),
+        rounds: args.effort.rounds,
+        reference: args.reference,
+    };
+    let result =
+        estimator::estimate(&scan, &config.estimator, &options, reporter).map_err(|e| Failure::estimating(shown, e))?;
     result.write(&output).map_err(|e| Failure::Internal(e.to_string()))?;
     let seconds = started.elapsed().as_secs_f64();
     if let Some(path) = &args.preview {

@@ -7,7 +7,6 @@ use crate::commands::settings::use_threads;
 use crate::device_folder::files::write_file;
 use crate::failure::Failure;
 use crate::report::Reporter;
-use estimator::EstimateError;
 use estimator::budget::Machine;
 use estimator::sweep::plot;
 use estimator::sweep::point::{CSV_HEAD, Point, margins, to_csv};
@@ -47,9 +46,8 @@ pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
         let name = scene.file_stem().map_or("scene".into(), |n| n.to_string_lossy().into_owned());
         let (scan, truth) = open(scene)?;
         let limit = Duration::from_secs_f64(args.limit);
-        let points = sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter).map_err(|e| match e {
-            EstimateError::Unusable(problem) => Failure::Unusable(format!("{shown}: {problem}")),
-        })?;
+        let points = sweep(&scan, &truth, &config.estimator, &ProcessorTime, limit, reporter)
+            .map_err(|e| Failure::estimating(shown, e))?;
         reporter.clear();
         csv += &to_csv(&name, &points);
         report(&name, &points)?;

@@ -19,10 +19,11 @@ use std::path::Path;
 const PAGE: &str = include_str!("viewer/page.html");
 const STYLE: &str = include_str!("viewer/style.css");
 /// Parts of the script, in order; they share one scope.
-const SCRIPT: [&str; 4] = [
+const SCRIPT: [&str; 5] = [
     include_str!("viewer/vector.js"),
     include_str!("viewer/light.js"),
     include_str!("viewer/object.js"),
+    include_str!("viewer/reference.js"),
     include_str!("viewer/viewer.js"),
 ];
 
@@ -102,11 +103,12 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         }).collect::<Vec<_>>(),
         "warnings": texts(&result.warnings), "cuts": texts(&result.cuts), "timings": timings,
         "keyframes": result.keyframes.iter().zip(pictures.iter().map(Some).chain(std::iter::repeat(None))).map(|(k, p)| {
-            let i = &k.camera.intrinsics;
+            let (i, d) = (&k.camera.intrinsics, &k.camera.distortion);
             json!({
                 "name": k.name, "pose": k.world_from_camera.to_rows(), "gain": k.gain,
                 "fx": i.fx / f64::from(i.width), "fy": i.fy / f64::from(i.height),
                 "cx": (i.cx + 0.5) / f64::from(i.width), "cy": (i.cy + 0.5) / f64::from(i.height),
+                "width": i.width, "height": i.height, "lens": [d.k1, d.k2, d.p1, d.p2, d.k3],
                 "aspect": f64::from(i.width) / f64::from(i.height), "picture": p,
             })
         }).collect::<Vec<_>>(),

@@ -18,6 +18,12 @@ pub struct Detail {
     pub confidence: Vec<f32>,
 }
 
+/// An albedo bounded to what is physically plausible.
+#[must_use]
+pub fn plausible(albedo: Vec3) -> Vec3 {
+    albedo.clamp(Vec3::splat(RANGE.0), Vec3::splat(RANGE.1))
+}
+
 /// What determines the albedo of the vertices.
 #[derive(Debug, Clone, Copy)]
 pub struct Evidence<'a> {
@@ -46,7 +52,7 @@ impl<'a> Evidence<'a> {
 }
 
 /// a_i = f_i / E_i, regularised towards the segment's albedo where E_i is small or uncertain: the posterior mean of log a_i
-/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. `segment_albedo` is `[segment][channel]`.
+/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. Its scale is that of `segment_albedo`. `segment_albedo` is `[segment][channel]`.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
     let &Evidence { colors, irradiance, transfer_error, unexplained } = evidence;
@@ -62,14 +68,14 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
         .collect();
     let spreads = spreads(colors.segment, &logs, segment_albedo.len());
     let brightness = medians(evidence, segment_albedo.len());
+    let vector = |a: [f64; 3]| Vec3::from_array(a.map(|x| x as f32));
     let (albedo, confidence) = (0..count)
         .into_par_iter()
         .map(|i| {
             let segment = colors.segment[i] as usize;
             let base = segment_albedo.get(segment).copied().unwrap_or([tuning.initial_albedo; 3]);
-            let clamp = |a: [f64; 3]| Vec3::from_array(a.map(|x| (x as f32).clamp(RANGE.0, RANGE.1)));
             let Some(log) = logs[i] else {
-                return (clamp(base), 0.0);
+                return (vector(base), 0.0);
             };
             let relative_light = f64::from(irradiance[i].element_sum()) / brightness[segment].max(1e-30);
             let light_error = tuning.light_error / relative_light.clamp(1e-3, 1.0);
@@ -83,7 +89,7 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
             let seen = f64::from(colors.lit_weight[i]).min(1.0);
             (
-                clamp(albedo),
+                vector(albedo),
                 (seen / (1.0 + variance / (tuning.half_confidence_error * tuning.half_confidence_error))) as f32,
             )
         })

@@ -2,12 +2,14 @@
 
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::problem::{Colors, FactorisationOptions, Observed};
+use crate::factorisation::scale::{self, Scaled};
 use crate::factorisation::solution::Solution;
-use crate::factorisation::{paper_solver, robust_solver, scale};
+use crate::factorisation::{paper_solver, robust_solver};
 use crate::transfer::{self, Bounced, Traced, Transfer};
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
+use recordings::decision::Decision;
 use std::sync::Arc;
 
 /// The answer of the factorisation.
@@ -21,6 +23,8 @@ pub struct Factorised {
     pub detail: Detail,
     /// Irradiance over π, linear RGB: `[vertex]`.
     pub irradiance: Vec<Vec3>,
+    /// What fixed the scale of albedo and light.
+    pub scale: Decision,
 }
 
 /// An earlier answer that a factorisation continues.
@@ -58,7 +62,6 @@ pub fn factorise(
     start: Option<Start>,
 ) -> Factorised {
     let tuning = options.tuning;
-    let transfer_error = traced.relative_errors();
     let mut transfer = Transfer { traced, bounced: None };
     let (before, albedo) = match start {
         Some(start) => {
@@ -70,15 +73,14 @@ pub fn factorise(
             let grey = vec![Vec3::splat(tuning.initial_albedo as f32); colors.lit_color.len()];
             bounce(&mut transfer, &grey, options);
             let bands = options.bands.min(tuning.first_bands as usize);
-            (
-                None,
-                solve(&transfer, colors, &FactorisationOptions { bands, ..*options }, None, &transfer_error).1.albedo,
-            )
+            let few = FactorisationOptions { bands, ..*options };
+            let first = solve(transfer, colors, &few, None);
+            transfer = first.transfer;
+            (None, first.detail.albedo)
         }
     };
     bounce(&mut transfer, &albedo, options);
-    let (solution, detail, irradiance) = solve(&transfer, colors, options, before.as_ref(), &transfer_error);
-    Factorised { transfer, solution, detail, irradiance }
+    solve(transfer, colors, options, before.as_ref())
 }
 
 /// Light that explains the colours with fewer bands than `found` has.
@@ -86,18 +88,16 @@ pub fn factorise(
 pub fn narrowed(found: &Factorised, colors: &Colors, bands: usize, tuning: &FactorisationTuning) -> Solution {
     let observed = colors.under(&found.transfer);
     let mut solution = robust_solver::solve(&observed, bands, Some(&found.solution), tuning);
-    scale::fix(&mut solution, colors, tuning);
+    let irradiance = found.transfer.irradiance(&solution.light);
+    scale::fix_like(&mut solution, &irradiance, &found.irradiance, colors);
     solution
 }
 
 /// A solution under a first transfer, as a start for [`factorise`].
 #[must_use]
 pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution, tuning: &FactorisationTuning) -> Start {
-    scale::fix(&mut solution, colors, tuning);
-    let irradiance = transfer.irradiance(&solution.light);
-    let errors = transfer.traced.relative_errors();
-    let albedo = albedo::detail(&Evidence::new(colors, &irradiance, &errors), &solution.albedo, tuning).albedo;
-    Start { solution, albedo, bounced: transfer.bounced }
+    let (detail, ..) = scaled(&transfer, colors, &mut solution, None, tuning);
+    Start { solution, albedo: detail.albedo, bounced: transfer.bounced }
 }
 
 /// Interreflection for an albedo (Eq. 8), if it is modelled.
@@ -110,16 +110,10 @@ fn bounce(transfer: &mut Transfer, albedo: &[Vec3], options: &FactorisationOptio
     }
 }
 
-/// Light and albedo under a transfer (Eqs. 9–12): solution, detail, and irradiance over π per vertex.
-fn solve(
-    transfer: &Transfer,
-    colors: &Colors,
-    options: &FactorisationOptions,
-    start: Option<&Solution>,
-    transfer_error: &[f32],
-) -> (Solution, Detail, Vec<Vec3>) {
+/// Light and albedo under a transfer (Eqs. 9–12).
+fn solve(transfer: Transfer, colors: &Colors, options: &FactorisationOptions, start: Option<&Solution>) -> Factorised {
     let (bands, tuning) = (options.bands, options.tuning);
-    let observed = colors.under(transfer);
+    let observed = colors.under(&transfer);
     let (mut solution, paper_albedo) = match options.solver {
         SolverChoice::Robust => (robust_solver::solve(&observed, bands, start, tuning), None),
         SolverChoice::Literal => {
@@ -134,11 +128,26 @@ fn solve(
             (solution, None)
         }
     };
-    let scale = scale::fix(&mut solution, colors, tuning);
-    let irradiance = transfer.irradiance(&solution.light);
-    let mut detail = albedo::detail(&Evidence::new(colors, &irradiance, transfer_error), &solution.albedo, tuning);
-    if let Some(albedo) = paper_albedo {
-        detail.albedo = albedo.iter().map(|a| (*a * scale).clamp(Vec3::ZERO, Vec3::ONE)).collect();
+    let (detail, irradiance, scale) = scaled(&transfer, colors, &mut solution, paper_albedo, tuning);
+    Factorised { transfer, solution, detail, irradiance, scale }
+}
+
+/// Albedo, irradiance over π per vertex, and the scale of both and of the solution. `albedo` stands in for that of the
+/// solution in detail.
+fn scaled(
+    transfer: &Transfer,
+    colors: &Colors,
+    solution: &mut Solution,
+    albedo: Option<Vec<Vec3>>,
+    tuning: &FactorisationTuning,
+) -> (Detail, Vec<Vec3>, Decision) {
+    let mut irradiance = transfer.irradiance(&solution.light);
+    let errors = transfer.traced.relative_errors();
+    let mut detail = albedo::detail(&Evidence::new(colors, &irradiance, &errors), &solution.albedo, tuning);
+    if let Some(albedo) = albedo {
+        detail.albedo = albedo;
     }
-    (solution, detail, irradiance)
+    let answer = Scaled { solution, detail: &mut detail, irradiance: &mut irradiance, deviation: scale::UNKNOWN };
+    let decision = scale::fix(answer, colors, tuning).decision;
+    (detail, irradiance, decision)
 }

@@ -14,6 +14,7 @@ mod problem;
 mod projection;
 pub mod robust_solver;
 pub mod scale;
+mod scale_prior;
 mod solution;
 mod statistics;
 

@@ -1,5 +1,6 @@
 //! What is factorised, and how.
 
+use crate::factorisation::scale::KnownAlbedo;
 use crate::transfer::Transfer;
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
@@ -33,13 +34,15 @@ pub struct Colors<'a> {
     pub segment: &'a [u32],
     /// Number of segments.
     pub segments: usize,
+    /// A surface whose albedo is known, which then fixes the scale.
+    pub known: Option<&'a KnownAlbedo>,
 }
 
 impl<'a> Colors<'a> {
     /// The same under a transfer.
     #[must_use]
     pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {
-        let Self { lit_color, lit_weight, segment, segments } = *self;
+        let Self { lit_color, lit_weight, segment, segments, .. } = *self;
         Observed { transfer, lit_color, lit_weight, segment, segments }
     }
 }

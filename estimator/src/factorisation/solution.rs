@@ -25,6 +25,15 @@ pub struct Solution {
     pub condition: f64,
 }
 
+impl Solution {
+    /// Multiplies albedo and light by these factors, per channel.
+    pub fn scale(&mut self, albedo: DVec3, light: DVec3) {
+        self.albedo.iter_mut().for_each(|a| (0..3).for_each(|c| a[c] *= albedo[c]));
+        let lights = self.light.iter_mut().chain(&mut self.standard_deviation).chain(&mut self.radiance);
+        lights.for_each(|l| (0..3).for_each(|c| l[c] *= light[c]));
+    }
+}
+
 /// The unit directions of [`Solution::radiance`], evenly spread.
 #[must_use]
 pub fn directions() -> Vec<DVec3> {

@@ -2,6 +2,7 @@
 //! surfaces, lamps beside the scene; a smooth function of position and normal where none of them explains more.
 
 use crate::factorisation::albedo::{self, Detail, Evidence};
+use crate::factorisation::scale::{self, Fixed, Scaled};
 use crate::factorisation::{Colors, Factorised, Solution};
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::lamps::{self, Sphere};
@@ -15,7 +16,7 @@ use crate::numerics::robust::{robust_sigma, weighted_median};
 use crate::rays::RayScene;
 use crate::transfer::Traced;
 use firmware_config::tuning::FactorisationTuning;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::decision::{Decision, LightRung};
 use recordings::local_light::{Emitter, Lamp, LightModel, LocalLight};
@@ -44,10 +45,10 @@ const LAMP_RAYS: u32 = 8;
 const LAMP_RADIUS: f32 = 0.05;
 /// A lamp this many scene sizes away is at infinity.
 const INFINITE: f32 = 1e3;
+/// Light that is not secondary is not scaled by less than this where secondary light is nearly all there is.
+const MIN_REST: f64 = 0.1;
 /// Times that radiance of what was not seen is taken from the model.
 const FILLS: usize = 2;
-/// Albedo of the brightest segment where no light explains the colours.
-pub(super) const BRIGHTEST: f64 = 0.75;
 /// Quantile of the segments' spread of log albedo that is taken as that of plain ones.
 const PLAIN: f64 = 0.25;
 /// At most so much of it is taken for the light's error: where no surface is plain, the spread is that of the albedo.
@@ -76,6 +77,8 @@ pub struct Near {
     pub irradiance: Vec<Vec3>,
     /// Lamps, emission, and the model.
     pub light: LocalLight,
+    /// What fixed the scale of albedo and light.
+    pub scale: Decision,
 }
 
 /// The model that held-out surface asks for.
@@ -336,15 +339,14 @@ impl<'a> Choice<'a> {
         let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l, LAMP_RAYS);
         let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
         let mut model = model;
-        let mut irradiance = Vec::new();
+        let (mut irradiance, mut secondary) = (Vec::new(), Vec::new());
         for fill in 0..=FILLS {
             let direct = self.direct_light(&model, &columns);
             let radiance = self.radiance_without(&model.emitters);
-            let total = |i: usize| {
-                let d = Vec3::from_array(direct[i].map(|x| x as f32));
-                (d + secondary::secondary(self.traced, &radiance, i)).max(Vec3::ZERO)
-            };
-            irradiance = (0..self.traced.vertices()).into_par_iter().map(total).collect::<Vec<Vec3>>();
+            let reflected = |i: usize| secondary::secondary(self.traced, &radiance, i);
+            secondary = (0..self.traced.vertices()).into_par_iter().map(reflected).collect::<Vec<Vec3>>();
+            let total = |(d, s): (&[f64; 3], &Vec3)| (Vec3::from_array(d.map(|x| x as f32)) + *s).max(Vec3::ZERO);
+            irradiance = direct.iter().zip(&secondary).map(total).collect();
             if fill == FILLS {
                 break;
             }
@@ -380,21 +382,15 @@ impl<'a> Choice<'a> {
             albedo: model.solved.albedo,
             ..found.solution.clone()
         };
-        self.near(solution, irradiance, local)
+        self.near(solution, irradiance, &secondary, model.solved.scale_deviation, local)
     }
 
     /// Light as a smooth function of position and normal; what is exported as light is its mean.
     fn unexplained(&self, irradiance: impl Fn(usize) -> [f64; 3], found: &Factorised) -> Near {
         let at = |n: usize| irradiance(self.samples.vertex[n] as usize);
-        let mut albedo = segment_albedo(&self.samples, &at);
-        let brightest = |c: usize| albedo.iter().map(|a| a[c]).fold(0.0, f64::max).max(1e-30);
-        let scale = [0, 1, 2].map(|c| BRIGHTEST / brightest(c));
-        albedo.iter_mut().for_each(|a| (0..3).for_each(|c| a[c] *= scale[c]));
-        let scaled = |i: usize| {
-            let e = irradiance(i);
-            Vec3::from_array([0, 1, 2].map(|c| (e[c] / scale[c]) as f32))
-        };
-        let all: Vec<Vec3> = (0..self.traced.vertices()).map(scaled).collect();
+        let albedo = segment_albedo(&self.samples, &at);
+        let vector = |i: usize| Vec3::from_array(irradiance(i).map(|e| e as f32));
+        let all: Vec<Vec3> = (0..self.traced.vertices()).map(vector).collect();
         let level = all.iter().map(|e| e.as_dvec3()).sum::<glam::DVec3>() / all.len().max(1) as f64;
         // Uniform radiance L is L √(4π) times the first harmonic, and makes an irradiance over π of L.
         let first = libm::sqrt(4.0 * std::f64::consts::PI);
@@ -407,20 +403,46 @@ impl<'a> Choice<'a> {
             ..found.solution.clone()
         };
         let light = LocalLight { model: LightModel::Unexplained, ..LocalLight::default() };
-        self.near(solution, all, light)
+        self.near(solution, all, &[], scale::UNKNOWN, light)
     }
 
-    /// Albedo in detail under the new irradiance.
-    fn near(&self, solution: Solution, irradiance: Vec<Vec3>, light: LocalLight) -> Near {
+    /// Albedo in detail under the new irradiance, of which `secondary` is known in units of f, and the scale of both.
+    fn near(
+        &self,
+        mut solution: Solution,
+        mut irradiance: Vec<Vec3>,
+        secondary: &[Vec3],
+        deviation: [f64; 3],
+        mut light: LocalLight,
+    ) -> Near {
         let transfer_error = self.traced.relative_errors();
         let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error)
             .with_unexplained(self.plain_spread(&solution, &irradiance));
         let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
-        for &i in light.emitters.iter().flat_map(|e| &e.vertices) {
-            detail.albedo[i as usize] = Vec3::splat(self.tuning.initial_albedo as f32);
-            detail.confidence[i as usize] = 0.0;
-        }
-        Near { solution, detail, irradiance, light }
+        let emitting = || light.emitters.iter().flat_map(|e| &e.vertices);
+        emitting().for_each(|i| detail.confidence[*i as usize] = 0.0);
+        let answer = Scaled { solution: &mut solution, detail: &mut detail, irradiance: &mut irradiance, deviation };
+        let Fixed { factor, decision } = scale::fix(answer, &self.scene.colors, self.tuning);
+        emitting().for_each(|i| detail.albedo[*i as usize] = Vec3::splat(self.tuning.initial_albedo as f32));
+        // Secondary light stays as observed: what else arrives makes up for it.
+        let rest = self.rest(&irradiance, secondary, factor);
+        solution.scale(DVec3::ONE, rest);
+        let scaled = |radiance: &mut [f64; 3]| *radiance = (DVec3::from_array(*radiance) * rest / factor).to_array();
+        light.emitters.iter_mut().for_each(|e| scaled(&mut e.radiance));
+        light.lamps.iter_mut().for_each(|l| scaled(&mut l.radiance));
+        Near { solution, detail, irradiance, light, scale: decision }
+    }
+
+    /// What the light that is not secondary has to be multiplied by, per channel, so that the surfaces get this irradiance on
+    /// the whole, if the model had it `factor` times as high.
+    fn rest(&self, irradiance: &[Vec3], secondary: &[Vec3], factor: DVec3) -> DVec3 {
+        let seen = |i: &u32| self.scene.colors.lit_weight[*i as usize] > 0.0 && (*i as usize) < secondary.len();
+        let sum =
+            |of: &[Vec3]| self.samples.vertex.iter().filter(|i| seen(i)).map(|i| of[*i as usize].as_dvec3()).sum();
+        let (all, reflected): (DVec3, DVec3) = (sum(irradiance), sum(secondary));
+        let [wanted, had] = [(all - reflected) * factor, all * factor - reflected];
+        let ratio = |c: usize| if had[c] > 0.0 { (wanted[c] / had[c]).max(MIN_REST) } else { 1.0 };
+        DVec3::new(ratio(0), ratio(1), ratio(2))
     }
 
     /// What light leaves unexplained: the spread of log albedo within plain segments.

@@ -12,23 +12,5 @@ mod secondary;
 mod smooth_fallback;
 mod solve;
 
-use crate::factorisation::scale;
-use firmware_config::tuning::FactorisationTuning;
-use recordings::local_light::LightModel;
-
-/// The rule that fixes the free factor of albedo × light under each model, in words.
-#[must_use]
-pub fn scale_rule(model: LightModel, tuning: &FactorisationTuning) -> String {
-    match model {
-        LightModel::Distant => scale::rule(tuning),
-        LightModel::Unexplained => format!("per channel, the brightest segment has albedo {}", choose::BRIGHTEST),
-        _ => format!(
-            "per channel, by the secondary light as it was observed; where there is little, by an albedo of {} of the \
-             brightest large segment",
-            solve::PRIOR_ALBEDO.0
-        ),
-    }
-}
-
 #[cfg(test)]
 mod tests;

@@ -24,7 +24,7 @@ const MIN_OBSERVABILITY: f64 = 5e-3;
 /// Lit colours of neighbouring vertices err together: so many samples' weight counts as one measurement.
 const CORRELATED: f64 = 25.0;
 /// Albedo of the brightest large segment where no secondary light fixes the scale, and its deviation.
-pub(super) const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
+const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
 /// A segment of this share of all weight is large.
 const LARGE: f64 = 0.02;
 /// Albedo of that segment at most.
@@ -61,6 +61,8 @@ pub struct Solved {
     pub albedo: Vec<[f64; 3]>,
     /// Irradiance over π of every sample.
     pub irradiance: Vec<[f64; 3]>,
+    /// Relative standard deviation of the scale by the secondary light, per channel; infinite without it.
+    pub scale_deviation: [f64; 3],
 }
 
 impl Solved {
@@ -115,6 +117,7 @@ pub fn solve(rows: &Rows, regularisation: f64) -> Solved {
         radiance: zip(projection.matrix().ncols(), &|c, i| c.radiance[i]),
         albedo: zip(rows.samples.segments, &|c, i| c.albedo[i]),
         irradiance: zip(rows.samples.len(), &|c, i| c.irradiance[i]),
+        scale_deviation: [0, 1, 2].map(|c| channels[c].scale_deviation),
     }
 }
 
@@ -153,6 +156,8 @@ pub struct Channel {
     pub albedo: Vec<f64>,
     /// Irradiance over π: `[sample]`.
     pub irradiance: Vec<f64>,
+    /// Relative standard deviation of the scale by the secondary light; infinite without it.
+    pub scale_deviation: f64,
 }
 
 /// Solves one channel, or a mean of the channels. `projection` is that of the rows' SH columns.
@@ -170,6 +175,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut solution = DVector::zeros(dim);
     let mut radiance = DVector::from_element(projection.ncols(), 1.0);
     let mut deviation = vec![f64::INFINITY; dim];
+    let mut scale_deviation = f64::INFINITY;
     let mut row = vec![0.0; dim];
     for round in 0..ROUNDS {
         let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
@@ -199,6 +205,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             last_at_most: MAX_ALBEDO / statistics.brightest(&inverse),
         };
         problem.gram.ger(NORMALISED * total, &mean, &mean, 1.0);
+        let normalised = problem.gram.clone();
         // Scale: the brightest large segment's albedo is k / b, known beforehand within some deviation.
         let noise = CORRELATED * sigma * sigma;
         let per = statistics.brightest(&inverse) / PRIOR_ALBEDO.1;
@@ -219,6 +226,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
         if round + 1 == ROUNDS {
             let prior = regularisation * total / (4.0 * std::f64::consts::PI);
             deviation = posterior(reduced, noise, prior, coefficients);
+            scale_deviation = posterior(normalised, noise, prior, coefficients)[columns] / solution[columns];
         }
     }
     // Into units of f: the secondary light's coefficient is 1 there.
@@ -230,6 +238,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
         radiance: radiance.iter().map(|x| x / k).collect(),
         albedo: inverse.iter().map(|b| k / b).collect(),
         irradiance: irradiance.iter().map(|e| e / k).collect(),
+        scale_deviation: if scale_deviation.is_nan() { f64::INFINITY } else { scale_deviation },
     }
 }
 

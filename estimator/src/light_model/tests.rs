@@ -71,7 +71,8 @@ fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<
     let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
     let lit_color = lit(&traced, &segment, &direct);
     let weight = vec![1.0; lit_color.len()];
-    let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: ALBEDO.len() };
+    let colors =
+        Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: ALBEDO.len(), known: None };
     let tuning = FactorisationTuning::default();
     let options = FactorisationOptions {
         gi: true,

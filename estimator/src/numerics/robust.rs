@@ -13,6 +13,15 @@ pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Optio
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, order).1)
 }
 
+/// The value that this share of the sorted `values` is below: the element at index `share · (n − 1)`, rounded down. `None`
+/// where there are no values.
+pub fn quantile<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>, share: f64) -> Option<T> {
+    let mut values: Vec<T> = values.into_iter().collect();
+    let at = (share.clamp(0.0, 1.0) * values.len().saturating_sub(1) as f64) as usize;
+    let order = |a: &T, b: &T| Into::<f64>::into(*a).total_cmp(&Into::<f64>::into(*b));
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, order).1)
+}
+
 /// Standard deviation of a normal distribution with the median of these absolute `deviations`; 0 where there are none.
 pub fn robust_sigma(deviations: impl IntoIterator<Item = f64>) -> f64 {
     SIGMA_PER_MAD * median(deviations).unwrap_or(0.0)
@@ -67,6 +76,9 @@ mod tests {
         assert_eq!(median::<f32>([]), None);
         assert_eq!(median([3.0_f64, 1.0, 2.0]), Some(2.0));
         assert_eq!(median([4.0_f32, 1.0, 3.0, 2.0]), Some(3.0));
+        assert_eq!(quantile::<f32>([], 0.5), None);
+        assert_eq!(quantile([4.0_f32, 1.0, 3.0, 2.0], 0.7), Some(3.0));
+        assert_eq!(quantile([2.0_f64, 1.0], 1.0), Some(2.0));
         assert_eq!(weighted_median(&mut []), None);
         assert_eq!(weighted_median(&mut [(1.0, 1.0), (9.0, 1.0)]), Some(5.0));
         assert_eq!(weighted_median(&mut [(1.0, 3.0), (9.0, 1.0)]), Some(1.0));

@@ -1,7 +1,7 @@
 //! The sheet: panels, captions, and the facts of the result.
 
 use crate::export::hdr;
-use crate::numerics::robust::median;
+use crate::numerics::robust::{median, quantile};
 use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_COLUMNS, fill, page, pixmap, write_text};
 use crate::preview::color::{display, heat, segment_color};
 use crate::preview::keyframe_view::{KeyframeView, Panel};
@@ -190,24 +190,19 @@ fn wrap(line: &str, columns: usize) -> Vec<String> {
 fn light(result: &Estimate) -> Panel {
     let (w, h) = (PANEL as usize, PANEL as usize / 2);
     let radiance: Vec<Vec3> = hdr::panorama(&result.light, (w, h)).into_iter().map(Vec3::from_array).collect();
-    let white = percentile(radiance.iter().map(|v| v.max_element()), 0.99).max(f32::MIN_POSITIVE);
+    let white = high(radiance.iter().map(|v| v.max_element()), 0.99).max(f32::MIN_POSITIVE);
     let pixels = radiance.iter().map(|v| (display(*v / white), 1.0)).collect();
     Panel { width: w as u32, height: h as u32, pixels }
 }
 
 /// Factor that brings the brightest albedos near white: their common scale is free.
 fn display_scale(albedo: &[Vec3]) -> f32 {
-    let bright = percentile(albedo.iter().map(|a| a.max_element()), 0.98);
+    let bright = high(albedo.iter().map(|a| a.max_element()), 0.98);
     if bright > 0.0 { 0.9 / bright } else { 1.0 }
 }
 
-fn percentile(values: impl Iterator<Item = f32>, share: f32) -> f32 {
-    let mut finite: Vec<f32> = values.filter(|v| v.is_finite()).collect();
-    if finite.is_empty() {
-        return 0.0;
-    }
-    let at = ((finite.len() - 1) as f32 * share) as usize;
-    *finite.select_nth_unstable_by(at, f32::total_cmp).1
+fn high(values: impl Iterator<Item = f32>, share: f64) -> f32 {
+    quantile(values.filter(|v| v.is_finite()), share).unwrap_or(0.0)
 }
 
 fn largest_ws(result: &Estimate) -> f64 {

@@ -1,6 +1,7 @@
 //! Gloss found and removed: exposures, lit colours and factorisation once more without it (§3.4).
 
 use crate::association::Association;
+use crate::factorisation::scale::KnownAlbedo;
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
 use crate::rays::RayScene;
 use crate::specular::clean::clean;
@@ -26,6 +27,8 @@ pub struct Surface<'a> {
     pub segment: &'a [u32],
     /// Number of segments.
     pub segments: usize,
+    /// A surface whose albedo is known.
+    pub known: Option<&'a KnownAlbedo>,
 }
 
 /// Light, albedo and gloss, and the decisions that led to them.
@@ -121,7 +124,8 @@ fn fit_and_expose(
 
 impl Surface<'_> {
     fn colors<'a>(&'a self, lit_color: &'a [Vec3], fields: &'a Association) -> Colors<'a> {
-        Colors { lit_color, lit_weight: &fields.lit_weight, segment: self.segment, segments: self.segments }
+        let Surface { segment, segments, known, .. } = *self;
+        Colors { lit_color, lit_weight: &fields.lit_weight, segment, segments, known }
     }
 
     fn reflection<'a>(&'a self, found: &'a Factorised) -> Reflection<'a> {

@@ -5,6 +5,7 @@ mod gloss;
 mod local_light;
 mod model;
 mod prepare;
+mod reference;
 mod result;
 mod run;
 mod witnesses;

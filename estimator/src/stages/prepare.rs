@@ -4,10 +4,12 @@ use crate::api::EstimateError;
 use crate::association::response;
 use crate::association::{self, Association, AssociationContext, AssociationEffort};
 use crate::factorisation::Colors;
+use crate::factorisation::scale::KnownAlbedo;
 use crate::mesh::regularise;
 use crate::rays::RayScene;
 use crate::segmentation;
 use crate::specular::refit::Surface;
+use crate::stages::reference::reference;
 use crate::stages::run::Run;
 use recordings::decision::{Decision, Warning};
 use recordings::scan::Scan;
@@ -25,6 +27,8 @@ pub struct Prepared {
     pub segment: Vec<u32>,
     /// Number of segments.
     pub segments: usize,
+    /// A surface whose albedo the user stated.
+    pub known: Option<KnownAlbedo>,
     /// Decisions so far.
     pub decisions: Vec<Decision>,
     /// Warnings so far.
@@ -40,20 +44,21 @@ impl Prepared {
             lit_weight: &self.fields.lit_weight,
             segment: &self.segment,
             segments: self.segments,
+            known: self.known.as_ref(),
         }
     }
 
     /// The surface whose gloss is fitted, and its light field.
     pub fn surface(&mut self) -> (Surface<'_>, &mut Association) {
-        let Self { mesh, scene, fields, segment, segments, .. } = self;
-        (Surface { mesh, scene, segment, segments: *segments }, fields)
+        let Self { mesh, scene, fields, segment, segments, known, .. } = self;
+        (Surface { mesh, scene, segment, segments: *segments, known: known.as_ref() }, fields)
     }
 }
 
 /// Mesh, association (Eqs. 2–5) and segments (Eqs. 6–7).
 ///
 /// # Errors
-/// The scan is unusable: no triangle, or no keyframe that shows any of it.
+/// The scan is unusable: no triangle, or no keyframe that shows any of it; the reference shows no surface.
 pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
     progress.stage("mesh", 0.0);
@@ -85,5 +90,10 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
     let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
     plan.segmentation_done();
-    Ok(Prepared { mesh, scene, fields, segment, segments, decisions, warnings: Vec::from_iter(mismatch) })
+    let warnings = Vec::from_iter(mismatch);
+    let mut prepared = Prepared { mesh, scene, fields, segment, segments, known: None, decisions, warnings };
+    if let Some(stated) = &run.options.reference {
+        prepared.known = Some(reference(stated, &prepared, scan)?);
+    }
+    Ok(prepared)
 }

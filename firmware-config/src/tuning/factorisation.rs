@@ -9,10 +9,22 @@ section! {
         initial_albedo: f64 = 0.5, [0.01..=1.0], "", "a0, Eq. (10)";
         /// Bands of the first solution, whose albedo only bounces light. Source: measured on the rendered scenes.
         first_bands: u32 = 4, [1..=9], "bands", "";
-        /// Smallest share of the seen vertices that a segment must hold to fix the scale of the albedo. Source: measured on the rendered scenes.
+        /// Share of the seen vertices from which a segment counts as large. Source: measured on the rendered scenes.
         scale_min_share: f64 = 0.02, [0.0..=1.0], "", "";
-        /// Albedo that the brightest large segment gets, per channel: the factor that albedo × light leaves free. Source: white paint and paper.
-        scale_albedo: f64 = 0.75, [0.01..=1.0], "", "";
+        /// Luminance of the albedo at `scale_quantile` of the seen vertices: the factor that albedo × light leaves free. Source: white paint and paper.
+        scale_albedo: f64 = 0.8, [0.01..=1.0], "", "";
+        /// Share of the seen vertices whose albedo is below `scale_albedo`. Source: measured on the generated scenes.
+        scale_quantile: f64 = 0.98, [0.5..=1.0], "", "";
+        /// Deviation of the logarithm of `scale_albedo`. Source: measured on the generated scenes.
+        scale_bright_sigma: f64 = 0.25, [0.001..=10.0], "", "σ_q, (S1)";
+        /// Largest luminance of the albedo at `scale_quantile`, whatever the evidence. Source: the whitest paints.
+        scale_max_albedo: f64 = 0.95, [0.01..=1.0], "", "";
+        /// Deviation of the mean irradiance's chroma from neutral, in logarithms: what the white balance leaves. Source: measured on the generated scenes.
+        scale_light_sigma: f64 = 0.15, [0.001..=10.0], "", "σ_e, (S1)";
+        /// Deviation of the mean albedo's chroma from neutral, in logarithms. Source: measured on the generated scenes.
+        scale_albedo_sigma: f64 = 0.4, [0.001..=10.0], "", "σ_a, (S1)";
+        /// Deviation of a white surface's chroma from neutral, in logarithms. Source: white paint and paper.
+        scale_white_sigma: f64 = 0.1, [0.001..=10.0], "", "σ_w, (S1)";
         /// Vertices of the fit, shared out by the size of the segments. Source: many times the unknowns.
         samples: u32 = 12000, [100..=1000000], "vertices", "";
         /// Smallest number of vertices of one segment in the fit, if it has so many.

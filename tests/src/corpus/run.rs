@@ -23,7 +23,7 @@ type Fallible<T> = Result<T, Box<dyn Error>>;
 pub fn photos(scene: &Path, result: &Path, budget: Duration, threads: usize) -> Fallible<Row> {
     let scan = import_photos(scene, None)?;
     let started = Instant::now();
-    let options = Options { budget, rounds: None };
+    let options = Options { budget, rounds: None, reference: None };
     let estimate = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &())?;
     finish(&estimate, scene, result, false, started.elapsed(), threads)
 }

@@ -258,19 +258,23 @@ const draw = () => {
   }
 };
 
-// The nearest triangle under a point of the canvas (shares of its size).
-const hit = (x, y) => {
-  const c = camera(), d = unit([0, 1, 2].map((i) => c.forward[i] + (x - c.cx) / c.fx * c.right[i] + (y - c.cy) / c.fy * c.down[i]));
+// The nearest triangle from an eye along a unit direction.
+const nearest = (eye, d) => {
   let best = null;
   for (let t = 0; t < triangles.length; t += 3) {
     const a = where(triangles[t]), e1 = sub(where(triangles[t + 1]), a), e2 = sub(where(triangles[t + 2]), a), p = cross(d, e2), det = dot(e1, p);
     if (Math.abs(det) < 1e-15) continue;
-    const s = sub(c.eye, a), u = dot(s, p) / det; if (u < 0 || u > 1) continue;
+    const s = sub(eye, a), u = dot(s, p) / det; if (u < 0 || u > 1) continue;
     const q = cross(s, e1), v = dot(d, q) / det; if (v < 0 || u + v > 1) continue;
     const far = dot(e2, q) / det;
-    if (far > 0 && (!best || far < best.far)) best = { far, vertex: triangles[t], point: c.eye.map((o, i) => o + far * d[i]), normal: unit(cross(e1, e2)), d };
+    if (far > 0 && (!best || far < best.far)) best = { far, vertex: triangles[t], point: eye.map((o, i) => o + far * d[i]), normal: unit(cross(e1, e2)), d };
   }
   return best;
+};
+// The same under a point of the canvas (shares of its size).
+const hit = (x, y) => {
+  const c = camera();
+  return nearest(c.eye, unit([0, 1, 2].map((i) => c.forward[i] + (x - c.cx) / c.fx * c.right[i] + (y - c.cy) / c.fy * c.down[i])));
 };
 const atMiddle = () => hit(0.5, 0.5) || { point: middle };
 // Puts a ball or the dropped object where a ray met the surface.
@@ -295,6 +299,8 @@ const click = (x, y) => {
   const id = segments[h.vertex], s = facts.segments[id], round = (k) => k === null ? "unknown" : Number(k).toFixed(3);
   $("told").textContent = "Segment " + id + "\nw_d " + round(s.w_d) + " · w_s " + round(s.w_s) + " ± " + round(s.w_s_error) +
     "\nalbedo " + s.albedo.map(round).join(", ") + "\n" + (100 * s.share).toFixed(1) + " % of the vertices";
+  const reference = referenceAt(h.point, h.normal);
+  if (reference) $("told").textContent += "\nTo state its albedo (here 0.9): lumiscan estimate scan.lscan " + reference;
   return id;
 };
 
