@@ -431,6 +431,17 @@ mod tests {
                  about 0.014",
                 "light model | lamps | mean relative error on held-out blocks of surface: distant 0.4000, lamps 0.0500 | 2 \
                  models, 5000 vertices each | ",
+                "albedo scale | light and surfaces neutral on the whole, albedo luminance 0.80 at the 98 % quantile | colour of \
+                 the median irradiance 1.04, 1.00, 0.96, of the mean albedo 1.30, 1.00, 0.77; 12 % of the seen surface is \
+                 near white; the 98 % quantile of the albedo's luminance is 0.80 | 9000 vertices | a surface of known \
+                 albedo, stated with `estimate --reference keyframe:N:X,Y=ALBEDO`",
+                "albedo scale | by the secondary light as it was observed, light and surfaces neutral on the whole | colour of \
+                 the median irradiance 1.04, 1.00, 0.96, of the mean albedo 1.30, 1.00, 0.77; 12 % of the seen surface is \
+                 near white; the 98 % quantile of the albedo's luminance is 0.80 | 9000 vertices | a surface of known \
+                 albedo, stated with `estimate --reference keyframe:N:X,Y=ALBEDO`",
+                "albedo scale | by the reference, whose albedo is 0.900, 0.900, 0.800 | colour of the median irradiance 1.04, \
+                 1.00, 0.96, of the mean albedo 1.30, 1.00, 0.77; 12 % of the seen surface is near white; the 98 % quantile \
+                 of the albedo's luminance is 0.80 | 9000 vertices | ",
             ]
         );
     }

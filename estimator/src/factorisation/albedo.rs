@@ -52,7 +52,8 @@ impl<'a> Evidence<'a> {
 }
 
 /// a_i = f_i / E_i, regularised towards the segment's albedo where E_i is small or uncertain: the posterior mean of log a_i
-/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. Its scale is that of `segment_albedo`. `segment_albedo` is `[segment][channel]`.
+/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. `segment_albedo` is `[segment][channel]`;
+/// its scale is not fixed yet, nor is that of the answer.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
     let &Evidence { colors, irradiance, transfer_error, unexplained } = evidence;

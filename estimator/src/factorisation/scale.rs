@@ -10,8 +10,9 @@ use firmware_config::tuning::FactorisationTuning;
 use glam::{DVec3, Vec3};
 use recordings::decision::{Decision, ScaleBasis};
 
-/// Deviation of a scale that nothing has fixed yet.
+/// Deviation of a scale that nothing has fixed yet, per channel.
 pub const UNKNOWN: [f64; 3] = [f64::INFINITY; 3];
+
 /// A surface whose albedo is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KnownAlbedo {

@@ -46,6 +46,7 @@ pub(super) struct Surface {
 }
 
 impl Surface {
+    /// What (S1) looks at, under a scale that is not fixed yet.
     pub(super) fn sampled(solution: &Solution, detail: &Detail, irradiance: &[Vec3], colors: &Colors) -> Self {
         let log = |v: Vec3| v.to_array().map(|x| libm::log(f64::from(x)));
         let seen: Vec<usize> = (0..irradiance.len())
@@ -130,6 +131,7 @@ impl Surface {
         })
     }
 
+    /// The evidence, and what fixed the scale.
     pub(super) fn decision(&self, factor: DVec3, chosen: ScaleBasis, tuning: &FactorisationTuning) -> Decision {
         let x = factor.to_array().map(libm::log);
         let color = |log: [f64; 3]| chroma(&log).map(libm::exp);
