@@ -62,7 +62,8 @@ impl Failure {
         match error {
             EstimateError::Unusable(problem) => Self::Unusable(format!("{scan}: {problem}")),
             EstimateError::NoReference(problem) => Self::Input(format!(
-                "{scan}: {problem}; choose a pixel of a surface that the pictures show (a click in the viewer page tells one)"
+                "{scan}: --reference: {problem}; choose a pixel of a surface that the pictures show (a click in the viewer page \
+                 tells one)"
             )),
         }
     }

@@ -13,7 +13,7 @@ pub enum EstimateError {
     #[error("{0}")]
     Unusable(String),
     /// The pixel of the reference shows no surface that was seen.
-    #[error("the reference: {0}")]
+    #[error("reference: {0}")]
     NoReference(String),
 }
 

@@ -3,7 +3,7 @@
 use crate::codec::image::encode_depth_png;
 use crate::decision::{
     BandsGain, BouncedLight, Cut, Decision, DecisionText, ExposureModel, LightRung, PositionEvidence, Reduction,
-    ResponseTest, TransferLevel, TransferNext, Warning,
+    ResponseTest, ScaleBasis, TransferLevel, TransferNext, Warning,
 };
 use crate::local_light::{Emitter, Lamp, LightModel, LocalLight};
 use crate::recording::Event;
