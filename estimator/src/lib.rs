@@ -93,8 +93,10 @@ pub fn estimate_on(
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let lit_with_gloss = prepared.fields.lit_color.clone();
     let answer = if local_light.model == LightModel::Distant {
-        let answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
+        let mut answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
         stages::check_distance(&mut prepared, &answer.found, config);
+        // The factor per channel that Eq. (9) leaves free (S1).
+        stages::fix_scale(&mut prepared, &mut answer, config);
         answer
     } else {
         // Eq. (13) mirrors distant light alone.
@@ -104,7 +106,6 @@ pub fn estimate_on(
     // Frames that no step used.
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
-    prepared.decisions.push(answer.found.scale.clone());
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
     prepared.warnings.extend(stages::unseen_light(&answer.found, config));
 
@@ -122,10 +123,10 @@ pub fn estimate_on(
         lit_color: prepared.fields.lit_color,
         albedo: answer.found.detail.albedo,
         confidence: answer.found.detail.confidence,
+        albedo_scale_rule: stages::scale_rule(&prepared.decisions),
         decisions: prepared.decisions,
         cuts: run.plan.cuts(),
         warnings: prepared.warnings,
-        albedo_scale_rule: answer.found.scale.text().choice,
         witnesses,
         local_light,
     })

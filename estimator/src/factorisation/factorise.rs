@@ -2,14 +2,12 @@
 
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::problem::{Colors, FactorisationOptions, Observed};
-use crate::factorisation::scale::{self, Scaled};
 use crate::factorisation::solution::Solution;
-use crate::factorisation::{paper_solver, robust_solver};
+use crate::factorisation::{paper_solver, robust_solver, scale};
 use crate::transfer::{self, Bounced, Traced, Transfer};
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
-use recordings::decision::Decision;
 use std::sync::Arc;
 
 /// The answer of the factorisation.
@@ -17,14 +15,12 @@ use std::sync::Arc;
 pub struct Factorised {
     /// Transfer with the albedo found.
     pub transfer: Transfer,
-    /// Light and segment albedos, scaled by the rule.
+    /// Light and segment albedos.
     pub solution: Solution,
     /// Albedo and its confidence per vertex.
     pub detail: Detail,
     /// Irradiance over π, linear RGB: `[vertex]`.
     pub irradiance: Vec<Vec3>,
-    /// What fixed the scale of albedo and light.
-    pub scale: Decision,
 }
 
 /// An earlier answer that a factorisation continues.
@@ -96,7 +92,7 @@ pub fn narrowed(found: &Factorised, colors: &Colors, bands: usize, tuning: &Fact
 /// A solution under a first transfer, as a start for [`factorise`].
 #[must_use]
 pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution, tuning: &FactorisationTuning) -> Start {
-    let (detail, ..) = scaled(&transfer, colors, &mut solution, None, tuning);
+    let (detail, _) = normalised(&transfer, colors, &mut solution, None, tuning);
     Start { solution, albedo: detail.albedo, bounced: transfer.bounced }
 }
 
@@ -128,26 +124,25 @@ fn solve(transfer: Transfer, colors: &Colors, options: &FactorisationOptions, st
             (solution, None)
         }
     };
-    let (detail, irradiance, scale) = scaled(&transfer, colors, &mut solution, paper_albedo, tuning);
-    Factorised { transfer, solution, detail, irradiance, scale }
+    let (detail, irradiance) = normalised(&transfer, colors, &mut solution, paper_albedo, tuning);
+    Factorised { transfer, solution, detail, irradiance }
 }
 
-/// Albedo, irradiance over π per vertex, and the scale of both and of the solution. `albedo` stands in for that of the
-/// solution in detail.
-fn scaled(
+/// Normalises the solution; albedo in detail, and irradiance over π per vertex. `paper_albedo` stands in for the former.
+fn normalised(
     transfer: &Transfer,
     colors: &Colors,
     solution: &mut Solution,
-    albedo: Option<Vec<Vec3>>,
+    paper_albedo: Option<Vec<Vec3>>,
     tuning: &FactorisationTuning,
-) -> (Detail, Vec<Vec3>, Decision) {
-    let mut irradiance = transfer.irradiance(&solution.light);
+) -> (Detail, Vec<Vec3>) {
+    let factor = scale::normalise(solution, colors, tuning).as_vec3();
+    let irradiance = transfer.irradiance(&solution.light);
     let errors = transfer.traced.relative_errors();
     let mut detail = albedo::detail(&Evidence::new(colors, &irradiance, &errors), &solution.albedo, tuning);
-    if let Some(albedo) = albedo {
-        detail.albedo = albedo;
+    if let Some(albedo) = paper_albedo {
+        detail.albedo = albedo.iter().map(|a| *a * factor).collect();
     }
-    let answer = Scaled { solution, detail: &mut detail, irradiance: &mut irradiance, deviation: scale::UNKNOWN };
-    let decision = scale::fix(answer, colors, tuning).decision;
-    (detail, irradiance, decision)
+    detail.albedo.iter_mut().for_each(|a| *a = albedo::plausible(*a));
+    (detail, irradiance)
 }

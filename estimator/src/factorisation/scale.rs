@@ -1,5 +1,5 @@
-//! The factor per channel that albedo × light leaves free (Eq. 9): a surface of known albedo fixes it, or what is likely
-//! (S1).
+//! The factor per channel that albedo × light leaves free (Eq. 9). While light and albedo are solved for in turn, the brightest
+//! segment fixes it; that of the answer is fixed by a surface of known albedo, or by what is likely (S1).
 
 use crate::factorisation::albedo::{self, Detail};
 use crate::factorisation::problem::Colors;
@@ -59,6 +59,25 @@ pub fn fix(scaled: Scaled, colors: &Colors, tuning: &FactorisationTuning) -> Fix
     detail.albedo.iter_mut().for_each(|a| *a = albedo::plausible(*a * of_albedo));
     irradiance.iter_mut().for_each(|e| *e *= of_light);
     Fixed { factor, decision }
+}
+
+/// Scales albedo and light so that the brightest large segment has the same albedo in every solution, per channel: what is
+/// compared and bounced while solving then has one scale. Returns the factor of the albedo.
+pub(super) fn normalise(solution: &mut Solution, colors: &Colors, tuning: &FactorisationTuning) -> DVec3 {
+    let mut seen = vec![0.0f64; colors.segments];
+    for (segment, weight) in colors.segment.iter().zip(colors.lit_weight) {
+        if *weight > 0.0 {
+            seen[*segment as usize] += 1.0;
+        }
+    }
+    let factor = [0, 1, 2].map(|c| {
+        let albedo: Vec<f64> = solution.albedo.iter().map(|a| a[c]).collect();
+        let factor = tuning.normalised_albedo / brightest_large(&albedo, &seen, tuning);
+        if factor.is_finite() && factor > 0.0 { factor } else { 1.0 }
+    });
+    let factor = DVec3::from_array(factor);
+    solution.scale(factor, factor.recip());
+    factor
 }
 
 /// Scales light and segment albedos so that surfaces get `irradiance` (over π, `[vertex]`) instead of `own`.

@@ -25,4 +25,11 @@ impl Gloss {
     /// Matte.
     pub const NONE: Self =
         Self { w_d: 1.0, w_s: 0.0, error: f64::INFINITY, significant: false, lobe: 0, lobe_weight: 0.0 };
+
+    /// The same reflection where the light is `1 / factor` times what it was.
+    pub fn scale_specular(&mut self, factor: f64) {
+        self.w_s *= factor;
+        self.error *= factor;
+        self.lobe_weight *= factor;
+    }
 }

@@ -21,6 +21,6 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
     let Some(near) = chosen.near else { return LocalLight::default() };
     check_distance(prepared, found, run.config);
     (found.solution, found.detail, found.irradiance) = (near.solution, near.detail, near.irradiance);
-    found.scale = near.scale;
+    prepared.decisions.push(near.scale);
     near.light
 }

@@ -8,6 +8,7 @@ mod prepare;
 mod reference;
 mod result;
 mod run;
+mod scale;
 mod witnesses;
 
 pub use gloss::{Answer, remove_gloss};
@@ -16,4 +17,5 @@ pub use model::{SelectedModel, refine, select_model, trace};
 pub use prepare::{Prepared, prepare};
 pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};
 pub use run::Run;
+pub use scale::{fix_scale, scale_rule};
 pub use witnesses::witnesses;

@@ -11,6 +11,8 @@ section! {
         first_bands: u32 = 4, [1..=9], "bands", "";
         /// Share of the seen vertices from which a segment counts as large. Source: measured on the rendered scenes.
         scale_min_share: f64 = 0.02, [0.0..=1.0], "", "";
+        /// Albedo that the brightest large segment gets, per channel, while light and albedo are solved for in turn. Source: white paint and paper.
+        normalised_albedo: f64 = 0.75, [0.01..=1.0], "", "";
         /// Luminance of the albedo at `scale_quantile` of the seen vertices: the factor that albedo × light leaves free. Source: white paint and paper.
         scale_albedo: f64 = 0.8, [0.01..=1.0], "", "";
         /// Share of the seen vertices whose albedo is below `scale_albedo`. Source: measured on the generated scenes.
