@@ -31,7 +31,10 @@ Exit codes:
   2  usage or configuration
   3  no device, or unreadable input
   4  the scan is unusable: tracking never held
-  5  a stage had to be abandoned for the budget; a partial result was written"
+  5  a stage had to be abandoned for the budget; a partial result was written
+  6  too little memory
+
+After 3 and 4 the same input fails again, everywhere; after 5 and 6 it may succeed with more time or memory."
 )]
 pub struct Cli {
     /// The command.
@@ -162,10 +165,12 @@ pub struct Replay {
 /// `lumiscan estimate`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Uses the settings stored in the scan. The last line on stdout is the result's path.
+Uses the settings stored in the scan. The last line on stdout is the result's path; with --json it is one line that tells how the
+estimate ended (docs/studio.md).
 
 Examples:
   lumiscan estimate ball.lscan
+  lumiscan --json estimate ball.lscan --if-changed --quality best
   lumiscan estimate ball.lscan -o draft.lres --budget 10
   lumiscan estimate ball.lscan --rounds 4 --threads 1")]
 pub struct Estimate {
@@ -174,12 +179,19 @@ pub struct Estimate {
     /// The result [default: beside the scan; result.lres for scan.lscan, otherwise of the same stem].
     #[arg(short, long, value_name = "RESULT")]
     pub output: Option<PathBuf>,
+    /// Do nothing if the result was made from the same scan, with the same settings, by the same version. Waits while another process
+    /// makes it.
+    #[arg(long)]
+    pub if_changed: bool,
     /// Write the preview sheet, too (`replay` publishes it as preview.png).
-    #[arg(long, value_name = "FILE", hide = true)]
+    #[arg(long, value_name = "FILE")]
     pub preview: Option<PathBuf>,
     /// Write the viewer page, too (`replay` publishes it as viewer.html).
-    #[arg(long, value_name = "FILE", hide = true)]
+    #[arg(long, value_name = "FILE")]
     pub viewer: Option<PathBuf>,
+    /// End when the process with this id, the parent, ends.
+    #[arg(long, value_name = "ID", hide = true)]
+    pub parent: Option<u32>,
     /// Limits.
     #[command(flatten)]
     pub effort: Effort,

@@ -13,7 +13,7 @@ use crate::report::Reporter;
 pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
     match &cli.command {
         Command::Replay(a) => replay::run(a, cli.json, reporter),
-        Command::Estimate(a) => estimate::run(a, cli.json, reporter),
+        Command::Estimate(a) => estimate::command::run(a, cli.json, reporter),
         Command::Import(a) => import::run(a),
         Command::Export(a) => export::run(a),
         Command::Render(a) => render::command::run(a, reporter),

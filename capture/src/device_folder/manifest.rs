@@ -4,8 +4,9 @@
 use crate::failure::Failure;
 use recordings::crc32_of_file;
 use recordings::decision_text::Findings;
+use recordings::result::{Estimate, Origin};
 use recordings::scan::CaptureStats;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// Version of the manifest's layout.
@@ -59,11 +60,13 @@ pub struct CaptureEntry {
 }
 
 /// How the estimator ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EstimatorOutcome {
     /// With a complete result.
     Done,
+    /// The result was there already.
+    Unchanged,
     /// It was not run.
     #[default]
     Skipped,
@@ -74,22 +77,42 @@ pub enum EstimatorOutcome {
 }
 
 /// What the estimator did.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub struct EstimatorEntry {
     /// How it ended.
     pub outcome: EstimatorOutcome,
     /// Its error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
+    /// What the result was made from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
     /// Vertices of the result's mesh.
     pub vertices: usize,
-    /// What was decided, cut and warned of.
-    #[serde(flatten)]
+    /// What was decided, cut and warned of. A reader takes it from the result, where every figure is exact.
+    #[serde(flatten, skip_deserializing)]
     pub findings: Findings,
     /// Seconds of wall time by stage.
     pub seconds: Vec<(String, f64)>,
+    /// Seconds of processor time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_seconds: Option<f64>,
     /// Peak resident memory.
     pub memory_peak_bytes: Option<u64>,
+}
+
+impl EstimatorEntry {
+    /// True if there is a result, complete or not.
+    #[must_use]
+    pub fn has_result(&self) -> bool {
+        !matches!(self.outcome, EstimatorOutcome::Skipped | EstimatorOutcome::Failed)
+    }
+
+    /// Takes over what the result tells.
+    pub fn describe(&mut self, result: &Estimate) {
+        self.vertices = result.mesh.positions.len();
+        self.findings = Findings::new(&result.decisions, &result.cuts, &result.warnings);
+    }
 }
 
 impl Manifest {
