@@ -67,6 +67,8 @@ pub enum Command {
     Capture(Capture),
     /// Start or stop a scan of the daemon, or print its status.
     Scan(Scan),
+    /// Copy finished scans to another machine, and fetch results that were made there.
+    Handoff(Handoff),
     /// Test this machine: sensor, USB, disk, memory, speed; name remedies.
     Check(Check),
     /// List the sensors that are plugged in.
@@ -363,6 +365,25 @@ pub struct Scan {
     /// Its control socket [default: /run/lumiscan/control where the service runs, otherwise in the device folder].
     #[arg(long, value_name = "PATH", env = "LUMISCAN_SOCKET")]
     pub socket: Option<PathBuf>,
+}
+
+/// `lumiscan handoff`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Copies every finished scan to `handoff.destination`/scans by rsync, has it compared there byte for byte, and only then counts it as handed
+off. Fetches results of its scans from `handoff.destination`/results and puts them in place. The service lumiscan-handoff runs it
+(docs/studio.md).
+
+Examples:
+  lumiscan handoff --device /var/lib/lumiscan --config /etc/lumiscan/default.toml
+  lumiscan handoff --set handoff.destination=studio@museum:boxes/7")]
+pub struct Handoff {
+    /// Device folder.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
 }
 
 /// `lumiscan check`.

@@ -2,7 +2,7 @@
 
 use crate::cli::Effort;
 use crate::device_folder::files::write_file;
-use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, Manifest};
+use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, MANIFEST, Manifest};
 use crate::device_folder::naming::utc;
 use crate::device_folder::staging::Staging;
 use crate::estimator_process::{self, Files};
@@ -48,7 +48,7 @@ pub fn publish(
     // The peak includes the result, which was read back.
     capture.memory_peak_bytes = memory::peak_bytes();
     let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
-    write_file(&staging.folder().join("manifest.json"), manifest.to_json()?.as_bytes())?;
+    write_file(&staging.folder().join(MANIFEST), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;
     Ok(Published { folder, manifest, failure })
 }

@@ -22,7 +22,8 @@ fn small_scan(dir: &Path) -> std::path::PathBuf {
     let settings = ["fusion.voxel_size_m=0.05", "estimator.bands=2", "estimator.refine_poses=off"];
     let set = settings.iter().flat_map(|s| ["--set", s]);
     let source = arg(tiny_recording());
-    let printed = lumiscan().args(["replay", &source, "--no-estimate", "--device", &arg(dir)]).args(set).output().unwrap();
+    let printed =
+        lumiscan().args(["replay", &source, "--no-estimate", "--device", &arg(dir)]).args(set).output().unwrap();
     Path::new(text(&printed.stdout).trim()).join("scan.lscan")
 }
 
@@ -81,7 +82,8 @@ fn scans_through_hyperqueue() {
     let Some(mut python) = python("hyperqueue") else { return };
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/studio");
     let executable = lumiscan().get_program().to_owned();
-    let command = python.args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."]);
+    let command =
+        python.args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."]);
     let output = command.current_dir(folder).env("LUMISCAN", executable).output().unwrap();
     println!("{}", text(&output.stderr));
     assert!(output.status.success(), "{}", text(&output.stderr));

@@ -9,6 +9,8 @@ use recordings::scan::CaptureStats;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
+/// Name of the file.
+pub const MANIFEST: &str = "manifest.json";
 /// Version of the manifest's layout.
 const FORMAT: u32 = 1;
 
@@ -101,6 +103,43 @@ pub struct EstimatorEntry {
     pub memory_peak_bytes: Option<u64>,
 }
 
+/// The files of a folder, sorted by name, with their checksums.
+///
+/// # Errors
+/// A file cannot be read back.
+fn list(folder: &Path) -> Result<Vec<FileEntry>, Failure> {
+    let unreadable = |e: std::io::Error| Failure::writing(folder, e);
+    let mut names: Vec<std::ffi::OsString> = std::fs::read_dir(folder)
+        .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
+        .map_err(unreadable)?;
+    names.retain(|name| name != MANIFEST);
+    names.sort();
+    let mut files = Vec::new();
+    for name in names {
+        let path = folder.join(&name);
+        let bytes = path.metadata().map_err(unreadable)?.len();
+        let crc32 = crc32_of_file(&path).map_err(|e| Failure::Internal(e.to_string()))?;
+        files.push(FileEntry { name: name.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") });
+    }
+    Ok(files)
+}
+
+/// The manifest of a published folder, brought up to date after its result was replaced.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn updated(published: &Path, folder: &Path, estimator: &EstimatorEntry) -> Result<String, Failure> {
+    let path = published.join(MANIFEST);
+    let unreadable = |e: &dyn std::fmt::Display| Failure::Input(format!("{}: {e}", path.display()));
+    let text = std::fs::read_to_string(&path).map_err(|e| unreadable(&e))?;
+    let mut manifest: serde_json::Map<String, serde_json::Value> =
+        serde_json::from_str(&text).map_err(|e| unreadable(&e))?;
+    let internal = |e: serde_json::Error| Failure::Internal(e.to_string());
+    manifest.insert("files".into(), serde_json::to_value(list(folder)?).map_err(internal)?);
+    manifest.insert("estimator".into(), serde_json::to_value(estimator).map_err(internal)?);
+    serde_json::to_string_pretty(&manifest).map(|t| t + "\n").map_err(internal)
+}
+
 impl EstimatorEntry {
     /// True if there is a result, complete or not.
     #[must_use]
@@ -127,18 +166,7 @@ impl Manifest {
         capture: CaptureEntry,
         estimator: EstimatorEntry,
     ) -> Result<Self, Failure> {
-        let unreadable = |e: std::io::Error| Failure::writing(folder, e);
-        let mut names: Vec<std::ffi::OsString> = std::fs::read_dir(folder)
-            .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
-            .map_err(unreadable)?;
-        names.sort();
-        let mut files = Vec::new();
-        for name in names {
-            let path = folder.join(&name);
-            let bytes = path.metadata().map_err(unreadable)?.len();
-            let crc32 = crc32_of_file(&path).map_err(|e| Failure::Internal(e.to_string()))?;
-            files.push(FileEntry { name: name.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") });
-        }
+        let files = list(folder)?;
         Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
     }
 

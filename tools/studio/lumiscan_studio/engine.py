@@ -63,7 +63,12 @@ def remote(server: Path) -> Iterator[tuple[Path, Request]]:
     """A running server, whose workers share this machine's file system."""
     if not (server / "hq-current").exists():
         raise Problem(f"{server} is no folder of a HyperQueue server; start one with: hq server start --server-dir {server}")
-    yield server, lambda task: ResourceRequest(cpus=task.threads, resources={"mem": task.memory_mb})
+    yield server, remote_request
+
+
+def remote_request(task: Task) -> ResourceRequest:
+    """Cores, and memory as the workers of `hq worker start` report it."""
+    return ResourceRequest(cpus=task.threads, resources={"mem": task.memory_mb})
 
 
 def run(server: Path, tasks: Sequence[Task], request: Request, note: Path, progress: Progress) -> dict[int, str]:

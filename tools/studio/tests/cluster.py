@@ -34,6 +34,16 @@ time.sleep(1e6)
 """
 
 
+# These workers know of cores alone: nothing else can be requested of them.
+CLIENT = """
+import sys
+from hyperqueue.ffi.protocol import ResourceRequest
+from lumiscan_studio import cli, engine
+engine.remote_request = lambda task: ResourceRequest(cpus=task.threads)
+sys.exit(cli.main())
+"""
+
+
 class Cluster:
     """Processes that end with the test."""
 

@@ -48,8 +48,8 @@ class Case(unittest.TestCase):
         return subprocess.run(self.command(*arguments), capture_output=True, text=True, timeout=500)
 
     def results(self) -> dict[str, tuple[int, int]]:
-        """Which file each result is: a result that is written again is another."""
-        found = {path.parent.name: path.stat() for path in self.out.rglob("result.lres")}
+        """Which file each result is that is complete, with its pictures: one that is written again is another."""
+        found = {path.parent.name: path.with_name("result.lres").stat() for path in self.out.rglob("viewer.html")}
         return {name: (stat.st_ino, stat.st_mtime_ns) for name, stat in found.items()}
 
     def assert_serial(self) -> None:

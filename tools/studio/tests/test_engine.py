@@ -10,7 +10,7 @@ import subprocess
 import unittest
 from pathlib import Path
 
-from .cluster import Cluster, until
+from .cluster import CLIENT, Cluster, until
 from .support import LUMISCAN, ROUNDS, Case
 
 
@@ -78,6 +78,7 @@ class Killed(Case):
         cluster = Cluster(self.folder)
         self.addCleanup(cluster.close)
         studio = self.command("estimate", scans, "--server", cluster.server_dir, "--out", self.out, *ROUNDS)
+        studio = [studio[0], "-c", CLIENT, *studio[3:]]
 
         server, workers = cluster.server(), [cluster.worker(), cluster.worker()]
         client = cluster.start(studio)
@@ -93,7 +94,8 @@ class Killed(Case):
 
         server.kill()
         server.wait()
-        workers[1].wait(timeout=60)
+        workers[1].kill()
+        until("the end of what ran", lambda: not list(self.out.rglob("*.lock")))
         after_server = self.results()
         self.assertLess(len(after_server), 24, "the server was killed too late")
         gone = subprocess.run(studio, capture_output=True, text=True, timeout=100)
