@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, json, ok, run, text, tiny_recording};
+use common::{arg, json, ok, run, small_scan, text};
 use serde_json::Value;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -63,12 +63,7 @@ impl Pair {
             assert!(began.elapsed() < Duration::from_secs(30), "sshd does not answer");
             std::thread::sleep(Duration::from_millis(50));
         }
-        let settings = ["fusion.voxel_size_m=0.05", "estimator.bands=2", "estimator.refine_poses=off"];
-        let set = settings.iter().flat_map(|s| ["--set", s]);
-        let (source, device) = (arg(tiny_recording()), arg(at("device")));
-        let replay =
-            ["replay", &source, "--device", &device, "--rounds", "1"].into_iter().chain(set).collect::<Vec<_>>();
-        let scan = PathBuf::from(ok(&replay).trim());
+        let scan = small_scan(&at("device"), &["--rounds", "1"]);
         Some(Self { dir, sshd, port, scan })
     }
 
@@ -98,7 +93,8 @@ impl Pair {
         let user = text(&Command::new("id").arg("-un").output().unwrap().stdout);
         let destination = format!("handoff.destination={}@127.0.0.1:{}", user.trim(), arg(self.at("far")));
         let ssh = format!("handoff.ssh={}", self.shell(script));
-        let output = run(&["handoff", "--device", &arg(self.at("device")), "--set", &destination, "--set", &ssh]);
+        let settings = ["--set", &destination, "--set", &ssh, "--set", "handoff.timeout_s=20"];
+        let output = run(&[&["handoff", "--device", &arg(self.at("device"))], &settings[..]].concat());
         (output.status.code(), text(&output.stdout) + &text(&output.stderr))
     }
 

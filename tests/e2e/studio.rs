@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, lumiscan, python, text, tiny_recording};
+use common::{arg, lumiscan, python, small_scan, text};
 use serde_json::Value;
 use std::path::Path;
 
@@ -17,20 +17,10 @@ fn estimate(scan: &Path, more: &[&str]) -> (Value, i32) {
     (serde_json::from_str(&printed).unwrap(), output.status.code().unwrap())
 }
 
-/// A small scan in a folder of its own.
-fn small_scan(dir: &Path) -> std::path::PathBuf {
-    let settings = ["fusion.voxel_size_m=0.05", "estimator.bands=2", "estimator.refine_poses=off"];
-    let set = settings.iter().flat_map(|s| ["--set", s]);
-    let source = arg(tiny_recording());
-    let printed =
-        lumiscan().args(["replay", &source, "--no-estimate", "--device", &arg(dir)]).args(set).output().unwrap();
-    Path::new(text(&printed.stdout).trim()).join("scan.lscan")
-}
-
 #[test]
 fn a_result_is_made_again_when_something_changed() {
     let dir = tempfile::tempdir().unwrap();
-    let scan = small_scan(dir.path());
+    let scan = small_scan(dir.path(), &["--no-estimate"]).join("scan.lscan");
     let result = scan.with_file_name("result.lres");
     let outcome = |more: &[&str]| {
         let (line, code) = estimate(&scan, more);
@@ -49,7 +39,7 @@ fn a_result_is_made_again_when_something_changed() {
     // Other settings; another scan; a damaged result; a picture that is missing.
     assert_eq!(outcome(&["--rounds", "2"]).0, "done");
     assert_eq!(outcome(&["--rounds", "1"]).0, "done");
-    let other = small_scan(dir.path());
+    let other = small_scan(dir.path(), &["--no-estimate"]).join("scan.lscan");
     std::fs::write(&scan, std::fs::read(&other).unwrap()).unwrap();
     assert_eq!(outcome(&["--rounds", "1"]).0, "unchanged", "the same scan, from another run");
     std::fs::write(&result, &bytes[..bytes.len() / 2]).unwrap();
@@ -63,7 +53,7 @@ fn a_result_is_made_again_when_something_changed() {
 #[test]
 fn the_line_says_whether_to_try_again() {
     let dir = tempfile::tempdir().unwrap();
-    let scan = small_scan(dir.path());
+    let scan = small_scan(dir.path(), &["--no-estimate"]).join("scan.lscan");
     let bad = dir.path().join("bad.lscan");
     std::fs::write(&bad, &std::fs::read(&scan).unwrap()[..1000]).unwrap();
     for (scan, more, code, retry) in

@@ -28,6 +28,9 @@ pub fn fetch(device: &Path, config: &HandoffConfig, stop: &Stop) -> Result<Fetch
     remove_abandoned(&device.join("scans"));
     let scans: Vec<_> =
         retention::finished(device).into_iter().filter(|s| handed_off::is_confirmed(device, s)).collect();
+    if scans.is_empty() {
+        return Ok(fetched);
+    }
     let incoming = device.join(HANDOFF).join("incoming");
     let _ = std::fs::remove_dir_all(&incoming);
     std::fs::create_dir_all(&incoming).map_err(|e| Failure::writing(&incoming, e))?;
@@ -44,10 +47,7 @@ pub fn fetch(device: &Path, config: &HandoffConfig, stop: &Stop) -> Result<Fetch
     command.arg("--").arg(format!("{}/results/", config.destination)).arg(&incoming);
     if let Err(failed) = run(command, stop) {
         stop.check()?;
-        // Without results the folder does not exist.
-        if !failed.is_single {
-            fetched.problems.push(failed.failure.to_string());
-        }
+        fetched.problems.push(failed.failure.to_string());
     }
     for scan in scans {
         let new = incoming.join(name(&scan));

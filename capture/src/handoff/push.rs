@@ -1,6 +1,7 @@
 //! Finished scans to the other machine.
 
-use crate::device_folder::{handed_off, retention};
+use crate::device_folder::handed_off::{self, HANDOFF};
+use crate::device_folder::retention;
 use crate::failure::Failure;
 use crate::handoff::rsync::{Failed, rsync, run};
 use crate::stop::Stop;
@@ -56,17 +57,16 @@ fn copy(device: &Path, scan: &Path, config: &HandoffConfig, stop: &Stop) -> Resu
     let mut source = OsString::from(device);
     source.push("/./scans/");
     source.push(scan.file_name().unwrap_or_default());
+    // Empty: the folder that results come from.
+    let results = device.join(HANDOFF).join("./results");
+    std::fs::create_dir_all(&results)
+        .map_err(|e| Failed { failure: Failure::writing(&results, e), is_single: false })?;
     let target = format!("{}/", config.destination);
     let mut transfer = rsync(config);
-    run(
-        {
-            transfer.arg("--").arg(&source).arg(&target);
-            transfer
-        },
-        stop,
-    )?;
+    transfer.arg("--").arg(&source).arg(&results).arg(&target);
+    run(transfer, stop)?;
     let mut comparison = rsync(config);
-    comparison.args(["--dry-run", "--out-format=%i %n", "--"]).arg(&source).arg(&target);
+    comparison.args(["--dry-run", "--out-format=%i %n", "--"]).arg(&source).arg(&results).arg(&target);
     let differing = run(comparison, stop)?;
     let differing: Vec<&str> = differing.lines().filter(|line| line.starts_with(['<', '>'])).collect();
     if differing.is_empty() {

@@ -97,6 +97,17 @@ pub fn tiny_recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tiny.lrec")
 }
 
+/// Publishes a scan of it in the device folder that takes half a second to estimate; returns the scan's folder.
+pub fn small_scan(device: &Path, effort: &[&str]) -> PathBuf {
+    let (source, device) = (arg(tiny_recording()), arg(device));
+    let mut args = vec!["replay", &source, "--device", &device];
+    for setting in ["fusion.voxel_size_m=0.05", "estimator.bands=2", "estimator.refine_poses=off"] {
+        args.extend(["--set", setting]);
+    }
+    args.extend(effort);
+    PathBuf::from(ok(&args).trim())
+}
+
 /// Writes a TUM folder: a table with two balls on it, seen from a camera that moves along a small arc.
 pub fn tum_folder(dir: &Path, frames: usize) {
     for sub in ["rgb", "depth"] {

@@ -15,6 +15,9 @@ from .problem import Problem
 
 COLUMNS = ["scan", "change", "model_psnr_db", "lit_psnr_db", "light", "new_warnings", "gone_warnings", "decisions"]
 
+# From good to bad.
+KINDS = ["identical", "only in B", "changed", "only in A"]
+
 
 @dataclass(frozen=True)
 class Change:
@@ -31,10 +34,10 @@ class Change:
     decisions: tuple[str, ...] = ()
 
     @property
-    def badness(self) -> tuple[int, float, int, float]:
+    def badness(self) -> tuple[bool, float, int, float, int]:
         """Greater is worse: results that are gone, then worse predictions, then new warnings, then other light."""
-        kinds = ["identical", "changed", "only in B", "only in A"]
-        return (int(self.kind == "only in A"), -(self.model_psnr_db or 0.0), len(self.new_warnings), self.light or kinds.index(self.kind) / 1e3)
+        is_gone, psnr_db, light = self.kind == "only in A", self.model_psnr_db or 0.0, self.light or 0.0
+        return (is_gone, -psnr_db, len(self.new_warnings), light, KINDS.index(self.kind))
 
 
 def compare(a: Path, b: Path, lumiscan: Path) -> list[Change]:
@@ -54,7 +57,7 @@ def write(out: Path, a: Path, b: Path, changes: list[Change]) -> None:
             lists = ["; ".join(items) for items in (c.new_warnings, c.gone_warnings, c.decisions)]
             table.writerow([c.name, c.kind, c.model_psnr_db, c.lit_psnr_db, c.light, *lists])
     path = out / "compare.html"
-    counts = ", ".join(f"{sum(c.kind == k for c in changes)} {k}" for k in ("changed", "identical", "only in A", "only in B"))
+    counts = ", ".join(f"{sum(c.kind == k for c in changes)} {k}" for k in reversed(KINDS))
     introduction = f"A: {a} · B: {b} · {counts}. Worst first. PSNR and light: B against A."
     page.write(path, "What changed", introduction, ["A", "B"] + COLUMNS, [_row(c, a, b, path) for c in changes])
 

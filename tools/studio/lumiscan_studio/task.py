@@ -8,10 +8,10 @@ from typing import Optional
 
 from .scans import Scan
 
-# Peak address space against the size of the scan file, with a margin (docs/studio.md has the measurement).
-BASE_MB = 500
-MB_PER_SCAN_MB = 40
-MB_PER_THREAD = 130
+# Address space by the size of the scan file, more than twice what was measured (docs/studio.md), and what an allocator reserves a thread.
+BASE_MB = 200
+MB_PER_SCAN_MB = 50
+MB_PER_THREAD = 80
 
 
 @dataclass(frozen=True)
