@@ -132,6 +132,10 @@ fn scans_go_and_results_come_back() {
     let estimate = ["estimate", &arg(pair.far("scan.lscan")), "--if-changed", "--rounds", "2", "-o", &result];
     ok(&[&estimate[..], &["--preview", &preview, "--viewer", &viewer]].concat());
     let old = std::fs::read(pair.scan.join("result.lres")).unwrap();
+    // A run that was killed left its work.
+    let left = pair.scan.with_file_name(format!(".replacement-{}", pair.scan.file_name().unwrap().to_str().unwrap()));
+    std::fs::create_dir(&left).unwrap();
+    std::fs::write(left.join("result.lres"), b"half").unwrap();
     pair.hands_off("1 results replaced");
     let new = std::fs::read(pair.scan.join("result.lres")).unwrap();
     assert!(new != old && new == std::fs::read(&result).unwrap());

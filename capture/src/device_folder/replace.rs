@@ -2,7 +2,6 @@
 
 use crate::device_folder::files::{sync, write_file};
 use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome, MANIFEST, updated};
-use crate::device_folder::staging::STAGING;
 use crate::failure::Failure;
 use recordings::decision::Cut;
 use recordings::result::{Estimate, Origin};
@@ -10,6 +9,8 @@ use recordings::scan::ScanIdentity;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use std::path::Path;
 
+/// Prefix of a folder that is being filled to replace another.
+const REPLACEMENT: &str = ".replacement-";
 /// What may come from the other machine.
 pub const REPLACED: [&str; 3] = ["result.lres", "preview.png", "viewer.html"];
 
@@ -23,11 +24,12 @@ pub fn replace(scan: &Path, incoming: &Path) -> Result<(), Failure> {
     let entry = describe(&result)?;
     let made_from = entry.origin.as_ref().map(|o| o.scan.as_str());
     if new("result.lres") && made_from != Some(&ScanIdentity::read(&scan.join("scan.lscan"))?.digest) {
-        return Err(Failure::Input(format!("{}: it was not made from {}", result.display(), scan.display())));
+        let (result, scan) = (result.display(), scan.display());
+        return Err(Failure::Input(format!("{result}: it was not made from {scan}; estimate the copy of that scan")));
     }
 
     let name = scan.file_name().unwrap_or_default().to_string_lossy();
-    let staging = scan.with_file_name(format!("{STAGING}{}-{name}", std::process::id()));
+    let staging = scan.with_file_name(format!("{REPLACEMENT}{name}"));
     let replaced = fill(&staging, scan, incoming, &entry).and_then(|()| {
         // Both names exist all the time.
         renameat_with(CWD, &staging, CWD, scan, RenameFlags::EXCHANGE).map_err(|e| Failure::writing(scan, e))?;
@@ -36,6 +38,14 @@ pub fn replace(scan: &Path, incoming: &Path) -> Result<(), Failure> {
     // The old folder, or the new one that could not be put in place.
     let _ = std::fs::remove_dir_all(&staging);
     replaced
+}
+
+/// Removes what a process that was killed left of a replacement. Nothing but links and copies is in it.
+pub fn clean(device: &Path) {
+    let entries = std::fs::read_dir(device.join("scans")).into_iter().flatten().flatten();
+    for entry in entries.filter(|e| e.file_name().to_string_lossy().starts_with(REPLACEMENT)) {
+        let _ = std::fs::remove_dir_all(entry.path());
+    }
 }
 
 /// What the manifest says of a result of which nothing but its file is known.

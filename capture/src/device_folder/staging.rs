@@ -110,7 +110,7 @@ fn cannot_write(path: &Path, e: &std::io::Error) -> Failure {
 }
 
 /// Removes staging folders whose process, named by its id, has ended.
-pub fn remove_abandoned(scans: &Path) {
+fn remove_abandoned(scans: &Path) {
     let Ok(entries) = std::fs::read_dir(scans) else { return };
     for entry in entries.flatten() {
         let name = entry.file_name();

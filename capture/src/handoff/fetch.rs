@@ -1,9 +1,8 @@
 //! Results of the other machine into the folders of their scans.
 
 use crate::device_folder::handed_off::{self, HANDOFF};
-use crate::device_folder::replace::{REPLACED, replace};
+use crate::device_folder::replace::{REPLACED, clean, replace};
 use crate::device_folder::retention;
-use crate::device_folder::staging::remove_abandoned;
 use crate::failure::Failure;
 use crate::handoff::rsync::{rsync, run};
 use crate::stop::Stop;
@@ -25,7 +24,7 @@ pub struct Fetched {
 /// The device folder cannot be written, or a signal came.
 pub fn fetch(device: &Path, config: &HandoffConfig, stop: &Stop) -> Result<Fetched, Failure> {
     let mut fetched = Fetched::default();
-    remove_abandoned(&device.join("scans"));
+    clean(device);
     let scans: Vec<_> =
         retention::finished(device).into_iter().filter(|s| handed_off::is_confirmed(device, s)).collect();
     if scans.is_empty() {

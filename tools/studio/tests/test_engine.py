@@ -53,7 +53,7 @@ class Undisturbed(Case):
         self.assertEqual(page.count("<img"), 2)
 
     def test_too_little_memory_is_another_failure_than_a_bad_scan(self) -> None:
-        run = self.run_studio("estimate", self.scans(1), "--out", self.out, "--memory", "24", *ROUNDS)
+        run = self.run_studio("estimate", self.scans(1), "--out", self.out, "--memory", "20", *ROUNDS)
         self.assertEqual(run.returncode, 1)
         line = json.loads((self.out / "box/000/outcome.json").read_text())
         self.assertEqual((line["exit_code"], line["retry"]), (6, "elsewhere"), line)
