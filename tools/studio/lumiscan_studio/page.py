@@ -51,7 +51,8 @@ def _cell(value: Cell) -> str:
     if isinstance(value, Html):
         return f"<td>{value.text}</td>"
     if isinstance(value, (int, float)):
-        return f'<td class="number" data-value="{value}">{value:.4g}</td>'
+        text = f"{value:.4g}" if isinstance(value, float) else str(value)
+        return f'<td class="number" data-value="{value}">{text}</td>'
     text = value or ""
     return f'<td class="{"failed" if text == "failed" else "text"}">{escape(text)}</td>'
 

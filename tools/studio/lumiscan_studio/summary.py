@@ -32,14 +32,12 @@ def counted(outcomes: Sequence[Outcome]) -> str:
     return ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
 
 
-def _figures(o: Outcome) -> list[object]:
-    figures = [o.seconds, o.cpu_seconds, o.memory_mb]
-    rounded = ["" if figure is None else round(figure, 3) for figure in figures]
-    return [o.name, o.line["outcome"], o.problem, o.line.get("retry") or "", o.line.get("vertices") or "", *rounded]
+def _figures(o: Outcome) -> list[page.Cell]:
+    costs = [None if cost is None else round(cost, 3) for cost in (o.seconds, o.cpu_seconds, o.memory_mb)]
+    return [o.name, o.line["outcome"], o.problem, o.line.get("retry"), o.line.get("vertices") or None, *costs]
 
 
 def _row(o: Outcome, path: Path) -> list[page.Cell]:
-    preview = page.picture(o.folder / "preview.png", path, o.folder / "viewer.html") if o.has_result else page.Html("")
+    preview = page.picture(o.folder / "preview.png", path, o.folder / "viewer.html") if o.has_result else None
     decisions = page.listing(f"{name}: {choice}" for name, choice in o.decisions.items())
-    figures = [figure if isinstance(figure, (str, int, float)) else str(figure) for figure in _figures(o)]
-    return [preview, *figures, page.listing(o.warnings), page.listing(o.cuts), decisions]
+    return [preview, *_figures(o), page.listing(o.warnings), page.listing(o.cuts), decisions]
