@@ -4,6 +4,7 @@
 use crate::cli::Effort;
 use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome};
 use crate::failure::{Failure, Retry};
+use crate::memory;
 use crate::report::{Reporter, Step};
 use crate::stop::Stop;
 use recordings::result::Estimate;
@@ -123,6 +124,7 @@ pub fn estimate(files: &Files, effort: &Effort, stop: &Stop, reporter: &Reporter
         // A fixed number of rounds has no clock.
         Some(_) => None,
     };
+    let kills_before = memory::out_of_memory_kills();
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(cannot)?;
     let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {
@@ -135,9 +137,11 @@ pub fn estimate(files: &Files, effort: &Effort, stop: &Stop, reporter: &Reporter
             BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
         });
         let waited = wait(&mut child, stop, limit);
+        let is_out_of_memory = memory::out_of_memory_kills() > kills_before;
         let last_lines = relay.join().unwrap_or_default();
         let answer = answer.join().unwrap_or_default();
-        Ok(ended(&waited?, &answer, &last_lines, effort.memory, &files.result))
+        let waited = Waited { is_out_of_memory, ..waited? };
+        Ok(ended(&waited, &answer, &last_lines, effort.memory, &files.result))
     })
 }
 
@@ -167,6 +171,8 @@ struct Waited {
     status: ExitStatus,
     /// It was killed here, after this time.
     killed_after: Option<Duration>,
+    /// Meanwhile the system killed a process for want of memory.
+    is_out_of_memory: bool,
 }
 
 /// Waits for the child to end; kills it when a signal comes or `limit` has passed.
@@ -175,7 +181,7 @@ fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<Waite
     let mut killed_after = None;
     loop {
         match child.try_wait() {
-            Ok(Some(status)) => return Ok(Waited { status, killed_after }),
+            Ok(Some(status)) => return Ok(Waited { status, killed_after, is_out_of_memory: false }),
             Ok(None) => {}
             Err(e) => return Err(Failure::Internal(format!("waiting for the estimator: {e}"))),
         }
@@ -229,7 +235,7 @@ fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
 
 /// Why the child ended without success.
 fn failure(waited: &Waited, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
-    let Waited { status, killed_after } = waited;
+    let Waited { status, killed_after, is_out_of_memory } = waited;
     let message = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
     if let Some(failure) = status.code().and_then(|code| Failure::of_child(code, message.clone())) {
         return failure;
@@ -244,8 +250,8 @@ fn failure(waited: &Waited, last_lines: &VecDeque<String>, limit_mb: Option<u32>
         format!("; run `lumiscan estimate` on it without a memory limit, or with one above {mb} MB")
     });
     let text = format!("the estimator ended early ({status}) {message}; the scan itself is complete{hint}");
-    // The system's out-of-memory killer sends SIGKILL; an allocation that the limit refuses aborts.
-    let is_killed = status.signal() == Some(signal_hook::consts::SIGKILL);
+    // The system's out-of-memory killer sends SIGKILL, as others may; an allocation that the limit refuses aborts.
+    let is_killed = *is_out_of_memory && status.signal() == Some(signal_hook::consts::SIGKILL);
     if is_killed || message.contains("memory allocation of") { Failure::Memory(text) } else { Failure::Internal(text) }
 }
 

@@ -15,6 +15,13 @@ pub fn resident_bytes() -> Option<u64> {
     field("VmRSS:")
 }
 
+/// Processes that the system has killed for want of memory since it started; `None` where it does not report it.
+#[must_use]
+pub fn out_of_memory_kills() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/vmstat").ok()?;
+    text.lines().find_map(|l| l.strip_prefix("oom_kill "))?.trim().parse().ok()
+}
+
 /// Processor time of this process so far, in seconds.
 #[must_use]
 pub fn cpu_seconds() -> f64 {

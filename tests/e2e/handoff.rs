@@ -29,7 +29,7 @@ impl Drop for Pair {
 
 impl Pair {
     /// `None`, and says why, where something is not installed.
-    fn start() -> Option<Self> {
+    fn start(effort: &[&str]) -> Option<Self> {
         let sshd = PathBuf::from("/usr/sbin/sshd");
         let found = |program: &Path, option: &str| Command::new(program).arg(option).output().is_ok();
         if !sshd.exists() || !found(Path::new("rsync"), "--version") || !found(Path::new("ssh-keygen"), "-?") {
@@ -63,7 +63,7 @@ impl Pair {
             assert!(began.elapsed() < Duration::from_secs(30), "sshd does not answer");
             std::thread::sleep(Duration::from_millis(50));
         }
-        let scan = small_scan(&at("device"), &["--rounds", "1"]);
+        let scan = small_scan(&at("device"), effort);
         Some(Self { dir, sshd, port, scan })
     }
 
@@ -116,7 +116,7 @@ const PLAIN: &str = "exec {ssh} \"$@\"";
 
 #[test]
 fn scans_go_and_results_come_back() {
-    let Some(pair) = Pair::start() else { return };
+    let Some(pair) = Pair::start(&["--rounds", "1"]) else { return };
     pair.hands_off("1 scans handed off, 0 waiting, 0 results replaced");
     for name in ["scan.lscan", "result.lres", "manifest.json", "trajectory.txt"] {
         assert!(pair.is_same(name), "{name}");
@@ -171,7 +171,7 @@ fn scans_go_and_results_come_back() {
 
 #[test]
 fn what_is_cut_in_the_middle_goes_on_later() {
-    let Some(pair) = Pair::start() else { return };
+    let Some(pair) = Pair::start(&["--no-estimate"]) else { return };
     let (code, printed) = pair.handoff("head -c 20000 | {ssh} \"$@\"");
     assert!(code == Some(1) && printed.contains("rsync"), "{printed}");
     assert!(!pair.is_confirmed() && !pair.far("scan.lscan").exists(), "half a scan is not a scan");
@@ -181,7 +181,7 @@ fn what_is_cut_in_the_middle_goes_on_later() {
 
 #[test]
 fn a_copy_that_differs_is_not_confirmed() {
-    let Some(pair) = Pair::start() else { return };
+    let Some(pair) = Pair::start(&["--no-estimate"]) else { return };
     // After each transfer a byte of the copy is another.
     let spoil = format!(
         "{{ssh}} \"$@\"; code=$?; printf X | dd of={} bs=1 seek=5000 conv=notrunc 2>&-; exit $code",
@@ -199,7 +199,7 @@ fn a_copy_that_differs_is_not_confirmed() {
 
 #[test]
 fn a_key_that_is_revoked_is_said() {
-    let Some(pair) = Pair::start() else { return };
+    let Some(pair) = Pair::start(&["--no-estimate"]) else { return };
     std::fs::write(pair.at("authorized_keys"), "").unwrap();
     let (code, printed) = pair.handoff(PLAIN);
     assert!(code == Some(1) && printed.contains("Permission denied") && printed.contains("1 waiting"), "{printed}");
