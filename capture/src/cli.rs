@@ -32,7 +32,10 @@ Exit codes:
   2  usage or configuration
   3  no device, or unreadable input
   4  the scan is unusable: tracking never held
-  5  a stage had to be abandoned for the budget; a partial result was written"
+  5  a stage had to be abandoned for the budget; a partial result was written
+  6  too little memory
+
+After 3 and 4 the same input fails again, everywhere; after 5 and 6 it may succeed with more time or memory."
 )]
 pub struct Cli {
     /// The command.
@@ -65,6 +68,8 @@ pub enum Command {
     Capture(Capture),
     /// Start or stop a scan of the daemon, or print its status.
     Scan(Scan),
+    /// Copy finished scans to another machine, and fetch results that were made there.
+    Handoff(Handoff),
     /// Test this machine: sensor, USB, disk, memory, speed; name remedies.
     Check(Check),
     /// List the sensors that are plugged in.
@@ -163,10 +168,12 @@ pub struct Replay {
 /// `lumiscan estimate`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Uses the settings stored in the scan. The last line on stdout is the result's path.
+Uses the settings stored in the scan. The last line on stdout is the result's path; with --json it is one line that tells how the
+estimate ended (docs/studio.md).
 
 Examples:
   lumiscan estimate ball.lscan
+  lumiscan --json estimate ball.lscan --if-changed --quality best
   lumiscan estimate ball.lscan -o draft.lres --budget 10
   lumiscan estimate ball.lscan --rounds 4 --threads 1
   lumiscan estimate ball.lscan --reference keyframe:2:320,200=0.9")]
@@ -176,16 +183,23 @@ pub struct Estimate {
     /// The result [default: beside the scan; result.lres for scan.lscan, otherwise of the same stem].
     #[arg(short, long, value_name = "RESULT")]
     pub output: Option<PathBuf>,
+    /// Do nothing if the result was made from the same scan, with the same settings, by the same version. Waits while another process
+    /// makes it.
+    #[arg(long)]
+    pub if_changed: bool,
     /// Write the preview sheet, too (`replay` publishes it as preview.png).
-    #[arg(long, value_name = "FILE", hide = true)]
+    #[arg(long, value_name = "FILE")]
     pub preview: Option<PathBuf>,
     /// Write the viewer page, too (`replay` publishes it as viewer.html).
-    #[arg(long, value_name = "FILE", hide = true)]
+    #[arg(long, value_name = "FILE")]
     pub viewer: Option<PathBuf>,
     /// A thing of known albedo in a picture, such as white paper, fixes the scale of the albedo: pixel X,Y of keyframe N
     /// shows diffuse albedo A (linear), one number or R,G,B. The viewer page tells this line for a click.
     #[arg(long, value_name = "keyframe:N:X,Y=A")]
     pub reference: Option<Reference>,
+    /// End when the process with this id, the parent, ends.
+    #[arg(long, value_name = "ID", hide = true)]
+    pub parent: Option<u32>,
     /// Limits.
     #[command(flatten)]
     pub effort: Effort,
@@ -357,6 +371,25 @@ pub struct Scan {
     /// Its control socket [default: /run/lumiscan/control where the service runs, otherwise in the device folder].
     #[arg(long, value_name = "PATH", env = "LUMISCAN_SOCKET")]
     pub socket: Option<PathBuf>,
+}
+
+/// `lumiscan handoff`.
+#[derive(Debug, Args)]
+#[command(after_long_help = "\
+Copies every finished scan to `handoff.destination`/scans by rsync, has it compared there byte for byte, and only then counts it as handed
+off. Fetches results of its scans from `handoff.destination`/results and puts them in place. The service lumiscan-handoff runs it
+(docs/studio.md).
+
+Examples:
+  lumiscan handoff --device /var/lib/lumiscan --config /etc/lumiscan/default.toml
+  lumiscan handoff --set handoff.destination=studio@museum:boxes/7")]
+pub struct Handoff {
+    /// Device folder.
+    #[arg(long, value_name = "DIR", env = "LUMISCAN_DEVICE", default_value = "lumiscan-device")]
+    pub device: PathBuf,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: Settings,
 }
 
 /// `lumiscan check`.

@@ -2,39 +2,79 @@
 //! estimator never ends the capture.
 
 use crate::cli::Effort;
-use crate::failure::Failure;
+use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome};
+use crate::failure::{Failure, Retry};
+use crate::memory;
 use crate::report::{Reporter, Step};
 use crate::stop::Stop;
+use estimator::Reference;
+use recordings::result::Estimate;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 use tracing::Level;
 
-/// The answer of `lumiscan --json estimate` on stdout.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Summary {
+/// The line with which `lumiscan --json estimate` ends.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The scan file.
+    pub scan: String,
     /// The result file.
     pub result: String,
-    /// Vertices of the result.
-    pub vertices: usize,
-    /// Seconds from the process's start to the result on disk.
-    pub seconds: f64,
-    /// Seconds of each stage, in the order they ran.
-    pub stages: Vec<(String, f64)>,
-    /// Peak resident memory.
-    pub memory_peak_bytes: Option<u64>,
+    /// Exit code of the process.
+    pub exit_code: u8,
+    /// When the same command may succeed, if it failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retry: Option<Retry>,
+    /// What the estimator did.
+    #[serde(flatten)]
+    pub estimator: EstimatorEntry,
 }
 
 /// How the estimator ended.
-#[derive(Debug)]
-pub struct Outcome {
-    /// Its answer, if it wrote a result.
-    pub summary: Option<Summary>,
+#[derive(Debug, Default)]
+pub struct Ended {
+    /// What it did.
+    pub entry: EstimatorEntry,
     /// Why it failed, if it did.
     pub failure: Option<Failure>,
+}
+
+impl Ended {
+    /// Without a result.
+    #[must_use]
+    pub fn failed(failure: Failure) -> Self {
+        let (outcome, problem) = (EstimatorOutcome::Failed, Some(failure.to_string()));
+        let entry = EstimatorEntry { outcome, problem, ..EstimatorEntry::default() };
+        Self { entry, failure: Some(failure) }
+    }
+}
+
+/// What the estimator reads and writes.
+#[derive(Debug)]
+pub struct Files {
+    /// The scan.
+    pub scan: PathBuf,
+    /// The result.
+    pub result: PathBuf,
+    /// The preview sheet.
+    pub preview: Option<PathBuf>,
+    /// The viewer page.
+    pub viewer: Option<PathBuf>,
+}
+
+impl Files {
+    /// Those of a folder of the device folder.
+    #[must_use]
+    pub fn of(folder: &Path) -> Self {
+        let [scan, result, preview, viewer] =
+            ["scan.lscan", "result.lres", "preview.png", "viewer.html"].map(|name| folder.join(name));
+        Self { scan, result, preview: Some(preview), viewer: Some(viewer) }
+    }
 }
 
 /// Time between two checks of the child.
@@ -46,16 +86,29 @@ const KILL_AFTER_BUDGETS: f64 = 4.0;
 /// See [`KILL_AFTER_BUDGETS`].
 const KILL_AFTER: Duration = Duration::from_secs(60);
 
-/// Estimates `folder`'s `scan.lscan` into `result.lres`, `preview.png` and `viewer.html`, passing progress on.
+/// Estimates a scan, passing progress on.
 ///
 /// # Errors
-/// The child could not be started, or a signal came (the child is killed then). [`Outcome`] reports how the child ended.
-pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<Outcome, Failure> {
+/// The child could not be started, or a signal came (the child is killed then). [`Ended`] reports how the child ended.
+pub fn estimate(
+    files: &Files,
+    effort: &Effort,
+    reference: Option<Reference>,
+    stop: &Stop,
+    reporter: &Reporter,
+) -> Result<Ended, Failure> {
+    if effort.rounds.is_none() {
+        reporter.set_deadline(Instant::now() + Duration::from_secs_f64(effort.budget));
+    }
     let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
-    command.args(["--json", "estimate"]).arg(folder.join("scan.lscan"));
-    command.arg("-o").arg(folder.join("result.lres")).arg("--preview").arg(folder.join("preview.png"));
-    command.arg("--viewer").arg(folder.join("viewer.html"));
+    command.args(["--json", "estimate"]).arg(&files.scan).arg("-o").arg(&files.result);
+    for (option, path) in [("--preview", &files.preview), ("--viewer", &files.viewer)] {
+        if let Some(path) = path {
+            command.arg(option).arg(path);
+        }
+    }
+    command.arg("--parent").arg(std::process::id().to_string());
     command.arg("--budget").arg(effort.budget.to_string());
     if reporter.verbose() {
         command.arg("--verbose");
@@ -65,6 +118,9 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
     }
     if let Some(point) = effort.quality {
         command.arg("--quality").arg(point.name());
+    }
+    if let Some(reference) = reference {
+        command.arg("--reference").arg(reference.to_string());
     }
     if let Some(n) = effort.threads {
         command.arg("--threads").arg(n.to_string());
@@ -78,6 +134,7 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
         // A fixed number of rounds has no clock.
         Some(_) => None,
     };
+    let kills_before = memory::out_of_memory_kills();
     let mut child =
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().map_err(cannot)?;
     let (Some(stdout), Some(stderr)) = (child.stdout.take(), child.stderr.take()) else {
@@ -89,25 +146,52 @@ pub fn estimate(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter
             let mut text = String::new();
             BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
         });
-        let status = wait(&mut child, stop, limit);
+        let waited = wait(&mut child, stop, limit);
+        let is_out_of_memory = memory::out_of_memory_kills() > kills_before;
         let last_lines = relay.join().unwrap_or_default();
         let answer = answer.join().unwrap_or_default();
-        let status = status?;
-        let summary = serde_json::from_str(&answer).ok();
-        let failure = match status.code() {
-            Some(0) if summary.is_some() => None,
-            _ => Some(failure(status, &last_lines, effort.memory)),
-        };
-        Ok(Outcome { summary, failure })
+        let waited = Waited { is_out_of_memory, ..waited? };
+        Ok(ended(&waited, &answer, &last_lines, effort.memory, &files.result))
     })
 }
 
+/// How the child ended, from its status, its answer and its last log lines.
+fn ended(waited: &Waited, answer: &str, last_lines: &VecDeque<String>, limit_mb: Option<u32>, result: &Path) -> Ended {
+    let answer = serde_json::from_str::<Outcome>(answer).map(|o| o.estimator).ok();
+    let mut failure = match waited.status.code() {
+        Some(0) if answer.is_some() => None,
+        _ => Some(failure(waited, last_lines, limit_mb)),
+    };
+    let mut entry = answer.unwrap_or(EstimatorEntry { outcome: EstimatorOutcome::Failed, ..Default::default() });
+    if entry.has_result() {
+        match Estimate::read(result) {
+            Ok(estimate) => entry.describe(&estimate),
+            Err(e) => {
+                entry.outcome = EstimatorOutcome::Failed;
+                failure = failure.or(Some(Failure::Internal(e.to_string())));
+            }
+        }
+    }
+    entry.problem = failure.as_ref().map(ToString::to_string);
+    Ended { entry, failure }
+}
+
+/// How a child ended.
+struct Waited {
+    status: ExitStatus,
+    /// It was killed here, after this time.
+    killed_after: Option<Duration>,
+    /// Meanwhile the system killed a process for want of memory.
+    is_out_of_memory: bool,
+}
+
 /// Waits for the child to end; kills it when a signal comes or `limit` has passed.
-fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<ExitStatus, Failure> {
+fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<Waited, Failure> {
     let began = Instant::now();
+    let mut killed_after = None;
     loop {
         match child.try_wait() {
-            Ok(Some(status)) => return Ok(status),
+            Ok(Some(status)) => return Ok(Waited { status, killed_after, is_out_of_memory: false }),
             Ok(None) => {}
             Err(e) => return Err(Failure::Internal(format!("waiting for the estimator: {e}"))),
         }
@@ -117,9 +201,9 @@ fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<ExitS
             return Err(stopped);
         }
         if limit.is_some_and(|p| began.elapsed() > p) {
-            tracing::warn!("the estimator has not ended after {:.0} s and is killed", began.elapsed().as_secs_f64());
             // It may have ended just now; its status is read in the next turn.
             let _ = child.kill();
+            killed_after.get_or_insert(began.elapsed());
         }
         std::thread::sleep(POLL);
     }
@@ -160,15 +244,25 @@ fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
 }
 
 /// Why the child ended without success.
-fn failure(status: ExitStatus, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
+fn failure(waited: &Waited, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
+    let Waited { status, killed_after, is_out_of_memory } = waited;
     let message = last_lines.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
     if let Some(failure) = status.code().and_then(|code| Failure::of_child(code, message.clone())) {
         return failure;
     }
+    if let Some(time) = killed_after {
+        let time = time.as_secs_f64();
+        return Failure::Abandoned(format!(
+            "the estimator did not end within {time:.0} s and was killed; there is no result"
+        ));
+    }
     let hint = limit_mb.map_or(String::new(), |mb| {
         format!("; run `lumiscan estimate` on it without a memory limit, or with one above {mb} MB")
     });
-    Failure::Internal(format!("the estimator ended early ({status}) {message}; the scan itself is complete{hint}"))
+    let text = format!("the estimator ended early ({status}) {message}; the scan itself is complete{hint}");
+    // The system's out-of-memory killer sends SIGKILL, as others may; an allocation that the limit refuses aborts.
+    let is_killed = *is_out_of_memory && status.signal() == Some(signal_hook::consts::SIGKILL);
+    if is_killed || message.contains("memory allocation of") { Failure::Memory(text) } else { Failure::Internal(text) }
 }
 
 #[cfg(test)]
@@ -182,7 +276,7 @@ mod tests {
     #[cfg(unix)]
     fn a_child_that_never_ends_is_ended() {
         let mut child = Command::new("sleep").arg("1000").spawn().unwrap();
-        let status = wait(&mut child, &Stop::default(), Some(Duration::from_millis(50))).unwrap();
-        assert!(!status.success());
+        let waited = wait(&mut child, &Stop::default(), Some(Duration::from_millis(50))).unwrap();
+        assert!(!waited.status.success() && waited.killed_after.is_some());
     }
 }

@@ -1,6 +1,7 @@
 //! Why a command ends, and its exit code.
 
 use estimator::EstimateError;
+use serde::{Deserialize, Serialize};
 use std::fmt::Display;
 use std::path::Path;
 
@@ -22,9 +23,24 @@ pub enum Failure {
     /// A stage had to be abandoned for the budget; a partial result was written.
     #[error("{0}")]
     Abandoned(String),
+    /// There was too little memory.
+    #[error("{0}")]
+    Memory(String),
     /// The user or the system asked to stop; the signal's number.
     #[error("stopped by signal {0}; nothing was left behind")]
     Stopped(i32),
+}
+
+/// When a command that failed may succeed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Retry {
+    /// The input is bad.
+    Never,
+    /// With more memory or more time, here or on another machine.
+    Elsewhere,
+    /// When what the message names has been repaired.
+    Repaired,
 }
 
 impl Failure {
@@ -37,15 +53,26 @@ impl Failure {
             Self::Input(_) => 3,
             Self::Unusable(_) => 4,
             Self::Abandoned(_) => 5,
+            Self::Memory(_) => 6,
             // As shells report it.
             Self::Stopped(signal) => u8::try_from(128 + signal).unwrap_or(1),
+        }
+    }
+
+    /// When the same command may succeed.
+    #[must_use]
+    pub fn retry(&self) -> Retry {
+        match self {
+            Self::Internal(_) | Self::Usage(_) => Retry::Repaired,
+            Self::Input(_) | Self::Unusable(_) => Retry::Never,
+            Self::Abandoned(_) | Self::Memory(_) | Self::Stopped(_) => Retry::Elsewhere,
         }
     }
 
     /// The failure that a child process with this exit code reports; `None` for success and for codes of no such meaning.
     #[must_use]
     pub fn of_child(code: i32, message: String) -> Option<Self> {
-        let all = [Self::Usage, Self::Input, Self::Unusable, Self::Abandoned];
+        let all = [Self::Usage, Self::Input, Self::Unusable, Self::Abandoned, Self::Memory];
         all.into_iter().map(|kind| kind(message.clone())).find(|f| i32::from(f.code()) == code)
     }
 

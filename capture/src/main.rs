@@ -6,6 +6,7 @@ mod daemon;
 mod device_folder;
 mod estimator_process;
 mod failure;
+mod handoff;
 mod kinect;
 mod memory;
 mod orders;

@@ -1,4 +1,4 @@
-//! Memory of this process: measured, planned and limited.
+//! Memory and processor time of this process: measured, planned and limited.
 
 use crate::failure::Failure;
 use firmware_config::{Config, memory_plan};
@@ -13,6 +13,20 @@ pub fn peak_bytes() -> Option<u64> {
 #[must_use]
 pub fn resident_bytes() -> Option<u64> {
     field("VmRSS:")
+}
+
+/// Processes that the system has killed for want of memory since it started; `None` where it does not report it.
+#[must_use]
+pub fn out_of_memory_kills() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/vmstat").ok()?;
+    text.lines().find_map(|l| l.strip_prefix("oom_kill "))?.trim().parse().ok()
+}
+
+/// Processor time of this process so far, in seconds.
+#[must_use]
+pub fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
 /// Makes this process the first victim of the out-of-memory killer, and limits its address space to `mb`.

@@ -1,5 +1,6 @@
 //! Options, progress and errors of the estimator.
 
+use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -48,6 +49,14 @@ impl FromStr for Reference {
             return Err(format!("the albedo must be from {LEAST_ALBEDO} to 1"));
         }
         Ok(Self { keyframe: keyframe.parse().map_err(|_| form)?, pixel: [number(x)?, number(y)?], albedo })
+    }
+}
+
+impl fmt::Display for Reference {
+    /// As [`FromStr`] reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { keyframe, pixel: [x, y], albedo: [r, g, b] } = self;
+        write!(f, "keyframe:{keyframe}:{x},{y}={r},{g},{b}")
     }
 }
 
@@ -112,7 +121,7 @@ mod tests {
         #[test]
         fn what_is_written_is_read(keyframe in 0usize..1000, x in 0.0..2000.0, y in 0.0..2000.0, a in 0.01..1.0) {
             let reference = Reference { keyframe, pixel: [x, y], albedo: [a, 0.5, 1.0] };
-            prop_assert_eq!(format!("keyframe:{keyframe}:{x},{y}={a},0.5,1").parse(), Ok(reference));
+            prop_assert_eq!(reference.to_string().parse(), Ok(reference));
         }
     }
 }

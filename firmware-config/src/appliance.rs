@@ -50,18 +50,31 @@ fn the_unit_allows_what_the_memory_plan_says() {
     assert!(!unit.contains("DynamicUser"), "results would be locked away");
 }
 
-/// systemd's own assessment of the unit, where systemd is installed.
+/// systemd's own assessment of the units, where systemd is installed.
 #[test]
-fn systemd_finds_the_unit_tight() {
-    let unit = format!("{FOLDER}/lumiscan.service");
-    let analyzed = std::process::Command::new("systemd-analyze")
-        .args(["security", "--offline=true", "--no-pager", &unit])
-        .output();
-    let text = analyzed.map(|o| String::from_utf8_lossy(&o.stdout).into_owned()).unwrap_or_default();
-    let Some(level) = text.lines().find_map(|l| l.split("Overall exposure level for lumiscan.service:").nth(1)) else {
-        println!("skipped: systemd-analyze security cannot be run here");
-        return;
-    };
-    let level: f64 = level.split_whitespace().next().unwrap().parse().unwrap();
-    assert!(level <= 2.5, "{text}");
+fn systemd_finds_the_units_tight() {
+    for name in ["lumiscan.service", "lumiscan-handoff.service"] {
+        let unit = format!("{FOLDER}/{name}");
+        let analyzed = std::process::Command::new("systemd-analyze")
+            .args(["security", "--offline=true", "--no-pager", &unit])
+            .output();
+        let text = analyzed.map(|o| String::from_utf8_lossy(&o.stdout).into_owned()).unwrap_or_default();
+        let Some(level) = text.lines().find_map(|l| l.split(&format!("Overall exposure level for {name}:")).nth(1))
+        else {
+            println!("skipped: systemd-analyze security cannot be run here");
+            return;
+        };
+        let level: f64 = level.split_whitespace().next().unwrap().parse().unwrap();
+        assert!(level <= 2.5, "{text}");
+    }
+}
+
+#[test]
+fn the_handoff_works_on_the_folder_of_the_daemon() {
+    let (daemon, handoff) = (shipped("lumiscan.service"), shipped("lumiscan-handoff.service"));
+    for option in ["--device /var/lib/lumiscan", "--config /etc/lumiscan/default.toml", "\nUser=lumiscan\n"] {
+        assert!(daemon.contains(option) && handoff.contains(option), "{option}");
+    }
+    assert!(shipped("lumiscan-handoff.path").contains("PathChanged=/var/lib/lumiscan/scans\n"));
+    assert!(shipped("lumiscan-handoff.timer").contains("OnUnitInactiveSec="), "a dead network is tried again");
 }

@@ -4,6 +4,7 @@ use crate::capture::CaptureConfig;
 use crate::daemon::DaemonConfig;
 use crate::estimator::EstimatorConfig;
 use crate::fusion::FusionConfig;
+use crate::handoff::HandoffConfig;
 use crate::kinect::{CameraConfig, KinectConfig};
 use crate::reality::RealityConfig;
 use crate::settings::{ConfigError, SettingInfo};
@@ -21,6 +22,8 @@ pub struct Config {
     pub estimator: EstimatorConfig,
     /// The daemon.
     pub daemon: DaemonConfig,
+    /// Where finished scans go.
+    pub handoff: HandoffConfig,
     /// A live Kinect.
     pub kinect: KinectConfig,
     /// Its colour camera, where nothing is known of the device's own.
@@ -108,6 +111,7 @@ impl Config {
             FusionConfig::SECTION => self.fusion.set(field, value),
             EstimatorConfig::SECTION => self.estimator.set(field, value),
             DaemonConfig::SECTION => self.daemon.set(field, value),
+            HandoffConfig::SECTION => self.handoff.set(field, value),
             KinectConfig::SECTION => self.kinect.set(field, value),
             CameraConfig::SECTION => self.camera.set(field, value),
             RealityConfig::SECTION => self.reality.set(field, value),
@@ -149,6 +153,7 @@ impl Config {
             self.estimator.tuning.settings(),
             self.daemon.settings(),
             self.daemon.tuning.settings(),
+            self.handoff.settings(),
             self.kinect.settings(),
             self.kinect.tuning.settings(),
             self.camera.settings(),
@@ -158,14 +163,17 @@ impl Config {
         .concat()
     }
 
-    /// The configuration as TOML that [`Config::from_toml`] reads back: every setting, but thresholds of single stages only
-    /// where they differ from their default.
+    /// The configuration as TOML that [`Config::from_toml`] reads back, as scans store it: every setting, but thresholds of single
+    /// stages only where they differ from their default, and nothing of where scans are sent.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         let mut section = "";
         let settings = self.settings();
-        for s in settings.iter().filter(|s| !s.tuning || s.value != s.default) {
+        let is_stored = |s: &&SettingInfo| {
+            (!s.tuning || s.value != s.default) && s.key.split('.').next() != Some(HandoffConfig::SECTION)
+        };
+        for s in settings.iter().filter(is_stored) {
             let (head, field) = s.key.split_once('.').unwrap_or(("", &s.key));
             if head != section {
                 section = head;
@@ -227,6 +235,7 @@ mod tests {
         config.set("fusion.voxel_size_m=0.01").unwrap();
         config.set("estimator.transfer=shade").unwrap();
         config.set("distance_check.changed_log=0.1").unwrap();
+        assert!(!config.to_toml().contains("handoff"), "a scan tells nobody where it was sent");
         assert!(!config.to_toml().contains("explained_share"), "thresholds are stored where they were changed");
         assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
         assert_eq!(Config::from_toml(&config.to_commented_toml()), Ok(config));

@@ -38,5 +38,6 @@ pub mod types;
 mod v1;
 
 pub use crate::codec::chunk::crc32_of_file;
+pub use crate::codec::digest::sha256;
 pub use crate::error::{Error, Result};
 pub use crate::import::lists::{format_seconds, parse_seconds};

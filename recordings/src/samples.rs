@@ -3,7 +3,7 @@
 use crate::decision::{Cut, Decision, DecisionText};
 use crate::local_light::LocalLight;
 use crate::recording::{Event, RecordingKind, RecordingReader, RecordingWriter};
-use crate::result::Estimate;
+use crate::result::{Estimate, Origin};
 use crate::scan::Scan;
 use crate::testing::{bumpy_mesh, estimate_on, events, packets, scan, sensor};
 use std::path::{Path, PathBuf};
@@ -22,6 +22,11 @@ fn write(dir: &Path) {
     }
     scan().write(&dir.join("v1.lscan")).unwrap();
     estimate_on(bumpy_mesh(6)).write(&dir.join("v1-findings.lres")).unwrap();
+    estimate_on(bumpy_mesh(6)).write_from(&dir.join("v1-origin.lres"), Some(&origin())).unwrap();
+}
+
+fn origin() -> Origin {
+    Origin { scan: "01".repeat(32), settings: "ef".repeat(32), version: "0.1.0".into() }
 }
 
 /// Only for a new version, under new names: what is there must never change.
@@ -77,4 +82,13 @@ fn findings_are_still_read() {
     assert_eq!(result.decisions, older.collect::<Vec<_>>());
     assert_eq!(result.local_light, LocalLight::default());
     assert_eq!((result.cuts, result.warnings), (expected.cuts, expected.warnings));
+}
+
+/// The first file that tells what it was made from.
+#[test]
+fn origins_are_still_read() {
+    let path = samples().join("v1-origin.lres");
+    assert_eq!(Origin::read(&path).unwrap(), Some(origin()));
+    assert_eq!(Estimate::read(&path).unwrap().segments, estimate_on(bumpy_mesh(6)).segments);
+    assert_eq!(Origin::read(&samples().join("v1.lres")).unwrap(), None);
 }

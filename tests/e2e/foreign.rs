@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{arg, ok, scanned_table, text};
+use common::{arg, ok, python, scanned_table, text, works};
 use recordings::result::Estimate;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -45,10 +45,6 @@ fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/foreign").join(name)
 }
 
-fn works(command: &mut Command) -> bool {
-    command.output().is_ok_and(|o| o.status.success())
-}
-
 /// Node, if it finds the npm package; otherwise says why not.
 fn node(package: &str) -> Option<Command> {
     let found = works(Command::new("node").args(["-e", &format!("require.resolve('{package}')")]));
@@ -56,16 +52,6 @@ fn node(package: &str) -> Option<Command> {
         eprintln!("skipped: node does not find the npm package {package} (NODE_PATH names the folder of packages)");
     }
     found.then(|| Command::new("node"))
-}
-
-/// Python, if it finds the module; otherwise says why not. `LUMISCAN_PYTHON` names another interpreter.
-fn python(module: &str) -> Option<Command> {
-    let program = std::env::var("LUMISCAN_PYTHON").unwrap_or_else(|_| "python3".into());
-    let found = works(Command::new(&program).args(["-c", &format!("import {module}")]));
-    if !found {
-        eprintln!("skipped: {program} does not find the module {module} (LUMISCAN_PYTHON names another interpreter)");
-    }
-    found.then(|| Command::new(program))
 }
 
 fn accepted(output: &Output) -> serde_json::Value {

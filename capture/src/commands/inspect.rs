@@ -8,7 +8,7 @@ use recordings::codec::chunk::kind_of;
 use recordings::decision_text::Findings;
 use recordings::local_light::Emitter;
 use recordings::recording::{RecordingKind, RecordingReader, RecordingSummary};
-use recordings::result::Estimate;
+use recordings::result::{Estimate, Origin};
 use recordings::scan::{Scan, ScanSource};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -22,7 +22,7 @@ pub fn run(args: &cli::Inspect, as_json: bool) -> Result<(), Failure> {
     let summary = match kind_of(&args.file)? {
         Some(RECORDING) => recording(&args.file)?,
         Some(SCAN) => scan(&Scan::read(&args.file)?),
-        Some(RESULT) => result(&Estimate::read(&args.file)?),
+        Some(RESULT) => result(&Estimate::read(&args.file)?, Origin::read(&args.file)?.as_ref()),
         _ => {
             let shown = args.file.display();
             return Err(Failure::Input(format!("{shown}: not a Lumiscan file; give an .lrec, .lscan or .lres")));
@@ -60,7 +60,7 @@ fn scan(s: &Scan) -> Value {
     })
 }
 
-fn result(r: &Estimate) -> Value {
+fn result(r: &Estimate, origin: Option<&Origin>) -> Value {
     let findings = Findings::new(&r.decisions, &r.cuts, &r.warnings);
     json!({
         "kind": "result",
@@ -78,6 +78,7 @@ fn result(r: &Estimate) -> Value {
         "keyframes": r.keyframes.len(),
         "witnesses": r.witnesses,
         "albedo_scale_rule": r.albedo_scale_rule,
+        "origin": origin,
         "light_model": r.local_light.model.name(),
         "lamps": r.local_light.lamps,
         "emitters": r.local_light.emitters.iter().map(emitter).collect::<Vec<_>>(),

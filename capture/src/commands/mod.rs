@@ -7,6 +7,7 @@ pub mod dispatch;
 mod estimate;
 mod export;
 mod files;
+mod handoff;
 mod import;
 mod inspect;
 mod list;

@@ -25,14 +25,14 @@ pub fn load(settings: &Settings) -> Result<Config, Failure> {
     Ok(config)
 }
 
-/// Sets the number of worker threads; rayon's default is one per processor.
+/// Starts the worker threads; one per processor by default.
 ///
 /// # Errors
 /// The threads cannot be started.
 pub fn use_threads(threads: Option<u16>) -> Result<(), Failure> {
-    let Some(n) = threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new()
-        .num_threads(usize::from(n))
+        // 0 is the default.
+        .num_threads(threads.map_or(0, usize::from))
         .build_global()
-        .map_err(|e| Failure::Internal(format!("{n} threads could not be started: {e}; try a smaller --threads")))
+        .map_err(|e| Failure::Memory(format!("the threads could not be started: {e}; try a smaller --threads")))
 }

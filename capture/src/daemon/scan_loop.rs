@@ -167,7 +167,7 @@ impl Daemon<'_> {
     /// One scan, from its first frame to the published folder.
     fn scan(&self, live: Live) -> Result<(), Failure> {
         let (device, daemon) = (&self.args.device, &self.config.daemon);
-        retention::make_room(device, daemon)?;
+        retention::make_room(device, daemon, &self.config.handoff)?;
         let name = retention::next_name(device)?;
         let described = sensor::describe(live.kinect(), self.config);
         let mut staging = Staging::unattended(device, &name)?;

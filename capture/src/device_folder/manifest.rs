@@ -4,10 +4,13 @@
 use crate::failure::Failure;
 use recordings::crc32_of_file;
 use recordings::decision_text::Findings;
+use recordings::result::{Estimate, Origin};
 use recordings::scan::CaptureStats;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
+/// Name of the file.
+pub const MANIFEST: &str = "manifest.json";
 /// Version of the manifest's layout.
 const FORMAT: u32 = 1;
 
@@ -59,11 +62,13 @@ pub struct CaptureEntry {
 }
 
 /// How the estimator ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum EstimatorOutcome {
     /// With a complete result.
     Done,
+    /// The result was there already.
+    Unchanged,
     /// It was not run.
     #[default]
     Skipped,
@@ -74,22 +79,79 @@ pub enum EstimatorOutcome {
 }
 
 /// What the estimator did.
-#[derive(Debug, Default, Serialize)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub struct EstimatorEntry {
     /// How it ended.
     pub outcome: EstimatorOutcome,
     /// Its error.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
+    /// What the result was made from.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub origin: Option<Origin>,
     /// Vertices of the result's mesh.
     pub vertices: usize,
-    /// What was decided, cut and warned of.
-    #[serde(flatten)]
+    /// What was decided, cut and warned of. A reader takes it from the result, where every figure is exact.
+    #[serde(flatten, skip_deserializing)]
     pub findings: Findings,
     /// Seconds of wall time by stage.
     pub seconds: Vec<(String, f64)>,
+    /// Seconds of processor time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_seconds: Option<f64>,
     /// Peak resident memory.
     pub memory_peak_bytes: Option<u64>,
+}
+
+/// The files of a folder, sorted by name, with their checksums.
+///
+/// # Errors
+/// A file cannot be read back.
+fn list(folder: &Path) -> Result<Vec<FileEntry>, Failure> {
+    let unreadable = |e: std::io::Error| Failure::writing(folder, e);
+    let mut names: Vec<std::ffi::OsString> = std::fs::read_dir(folder)
+        .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
+        .map_err(unreadable)?;
+    names.retain(|name| name != MANIFEST);
+    names.sort();
+    let mut files = Vec::new();
+    for name in names {
+        let path = folder.join(&name);
+        let bytes = path.metadata().map_err(unreadable)?.len();
+        let crc32 = crc32_of_file(&path).map_err(|e| Failure::Internal(e.to_string()))?;
+        files.push(FileEntry { name: name.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") });
+    }
+    Ok(files)
+}
+
+/// The manifest of a published folder, brought up to date after its result was replaced.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn updated(published: &Path, folder: &Path, estimator: &EstimatorEntry) -> Result<String, Failure> {
+    let path = published.join(MANIFEST);
+    let unreadable = |e: &dyn std::fmt::Display| Failure::Input(format!("{}: {e}", path.display()));
+    let text = std::fs::read_to_string(&path).map_err(|e| unreadable(&e))?;
+    let mut manifest: serde_json::Map<String, serde_json::Value> =
+        serde_json::from_str(&text).map_err(|e| unreadable(&e))?;
+    let internal = |e: serde_json::Error| Failure::Internal(e.to_string());
+    manifest.insert("files".into(), serde_json::to_value(list(folder)?).map_err(internal)?);
+    manifest.insert("estimator".into(), serde_json::to_value(estimator).map_err(internal)?);
+    serde_json::to_string_pretty(&manifest).map(|t| t + "\n").map_err(internal)
+}
+
+impl EstimatorEntry {
+    /// True if there is a result, complete or not.
+    #[must_use]
+    pub fn has_result(&self) -> bool {
+        !matches!(self.outcome, EstimatorOutcome::Skipped | EstimatorOutcome::Failed)
+    }
+
+    /// Takes over what the result tells.
+    pub fn describe(&mut self, result: &Estimate) {
+        self.vertices = result.mesh.positions.len();
+        self.findings = Findings::new(&result.decisions, &result.cuts, &result.warnings);
+    }
 }
 
 impl Manifest {
@@ -104,18 +166,7 @@ impl Manifest {
         capture: CaptureEntry,
         estimator: EstimatorEntry,
     ) -> Result<Self, Failure> {
-        let unreadable = |e: std::io::Error| Failure::writing(folder, e);
-        let mut names: Vec<std::ffi::OsString> = std::fs::read_dir(folder)
-            .and_then(|entries| entries.map(|e| e.map(|e| e.file_name())).collect())
-            .map_err(unreadable)?;
-        names.sort();
-        let mut files = Vec::new();
-        for name in names {
-            let path = folder.join(&name);
-            let bytes = path.metadata().map_err(unreadable)?.len();
-            let crc32 = crc32_of_file(&path).map_err(|e| Failure::Internal(e.to_string()))?;
-            files.push(FileEntry { name: name.to_string_lossy().into_owned(), bytes, crc32: format!("{crc32:08x}") });
-        }
+        let files = list(folder)?;
         Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
     }
 

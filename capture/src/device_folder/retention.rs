@@ -3,9 +3,10 @@
 
 use crate::device_folder::disk::has_room;
 use crate::device_folder::files::write_file;
+use crate::device_folder::handed_off;
 use crate::device_folder::staging::{STAGING, UNFINISHED};
 use crate::failure::Failure;
-use firmware_config::DaemonConfig;
+use firmware_config::{DaemonConfig, HandoffConfig};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -70,28 +71,42 @@ pub fn set_aside(device: &Path, folder: &Path, keep: u32) -> Result<(), Failure>
     Ok(())
 }
 
-/// Removes the oldest finished scans until the device folder is within its limit and the disk has room.
+/// The scans that are complete, oldest first.
+#[must_use]
+pub fn finished(device: &Path) -> Vec<PathBuf> {
+    let mut finished = by_age(&device.join("scans"));
+    finished.retain(|f| f.file_name().is_some_and(|n| !n.to_string_lossy().starts_with('.')));
+    finished
+}
+
+/// Removes the oldest finished scans until the device folder is within its limit and the disk has room. Where scans are handed
+/// off, one that the other machine has not confirmed stays.
 ///
 /// # Errors
-/// There is too little room even without any finished scan.
-pub fn make_room(device: &Path, config: &DaemonConfig) -> Result<(), Failure> {
-    let scans = device.join("scans");
-    let mut finished = by_age(&scans);
-    finished.retain(|f| f.file_name().is_some_and(|n| !n.to_string_lossy().starts_with('.')));
+/// There is too little room even without any scan that may go.
+pub fn make_room(device: &Path, config: &DaemonConfig, handoff: &HandoffConfig) -> Result<(), Failure> {
+    let finished = finished(device);
     let limit = u64::from(config.max_folder_mb) * 1_000_000;
     let mut used: u64 = finished.iter().map(|f| size(f)).sum();
-    let mut oldest = finished.into_iter();
+    let (waiting, removable): (Vec<_>, Vec<_>) =
+        finished.into_iter().partition(|f| handoff.is_on() && !handed_off::is_confirmed(device, f));
+    let mut oldest = removable.into_iter();
     while used > limit || !has_room(device, config)? {
         let Some(folder) = oldest.next() else { break };
         used = used.saturating_sub(size(&folder));
         tracing::warn!("removing {} to make room", folder.display());
         remove(&folder);
+        handed_off::forget(device, &folder);
     }
     if has_room(device, config)? {
         return Ok(());
     }
+    let waiting = match waiting.len() {
+        0 => String::new(),
+        n => format!("; {n} scans stay until they are handed off: see `lumiscan handoff`"),
+    };
     Err(Failure::Internal(format!(
-        "{}: less than {} MB are free; free space, or lower daemon.min_free_mb",
+        "{}: less than {} MB are free; free space, or lower daemon.min_free_mb{waiting}",
         device.display(),
         config.min_free_mb
     )))
@@ -162,7 +177,7 @@ mod tests {
             scan(device.path(), name, 1_000_000);
         }
         let config = DaemonConfig { max_folder_mb: 2, min_free_mb: 1, ..DaemonConfig::default() };
-        make_room(device.path(), &config).unwrap();
+        make_room(device.path(), &config, &HandoffConfig::default()).unwrap();
         let mut left = names(&device.path().join("scans"));
         left.sort();
         assert_eq!(
@@ -176,7 +191,33 @@ mod tests {
         let device = tempfile::tempdir().unwrap();
         scan(device.path(), "20000101T000000Z-scan-0001", 10);
         let config = DaemonConfig { min_free_mb: 1_000_000, ..DaemonConfig::default() };
-        assert!(make_room(device.path(), &config).unwrap_err().to_string().contains("min_free_mb"));
+        assert!(
+            make_room(device.path(), &config, &HandoffConfig::default())
+                .unwrap_err()
+                .to_string()
+                .contains("min_free_mb")
+        );
+    }
+
+    #[test]
+    fn what_is_not_handed_off_stays() {
+        let device = tempfile::tempdir().unwrap();
+        for i in 1..=3 {
+            scan(device.path(), &format!("20000101T00000{i}Z-scan-000{i}"), 1_000_000);
+        }
+        let config = DaemonConfig { max_folder_mb: 1, min_free_mb: 1, ..DaemonConfig::default() };
+        let handoff = HandoffConfig { destination: "far:scans".into(), ..HandoffConfig::default() };
+        make_room(device.path(), &config, &handoff).unwrap();
+        assert_eq!(finished(device.path()).len(), 3);
+        let second = device.path().join("scans/20000101T000002Z-scan-0002");
+        handed_off::confirm(device.path(), &second).unwrap();
+        make_room(device.path(), &config, &handoff).unwrap();
+        assert!(
+            finished(device.path()).len() == 2 && !second.exists() && !handed_off::is_confirmed(device.path(), &second)
+        );
+        let full = DaemonConfig { min_free_mb: 1_000_000, ..config };
+        assert!(make_room(device.path(), &full, &handoff).unwrap_err().to_string().contains("2 scans stay"));
+        assert_eq!(finished(device.path()).len(), 2);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! one tagged `END `. All numbers are little-endian; the checksum covers tag, length and payload, so that a flipped tag
 //! is damage and not an unknown chunk. Unknown chunks are skipped.
 
+use crate::codec::exclusive::open_exclusive;
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek, Write};
@@ -39,10 +40,13 @@ impl ChunkWriter {
     /// Starts a file of a kind and version.
     ///
     /// # Errors
-    /// The folder cannot be written.
+    /// The folder cannot be written, or another process is writing the same file.
     pub fn create(path: &Path, kind: Tag, version: u32) -> Result<Self> {
         let part = beside(path, ".part")?;
-        let file = File::create(&part).map_err(|e| Error::io(&part, e))?;
+        let busy = || std::io::Error::new(std::io::ErrorKind::ResourceBusy, "another process is writing this file");
+        let file = open_exclusive(&part).and_then(|f| f.ok_or_else(busy)).map_err(|e| Error::io(&part, e))?;
+        // What a killed process left.
+        file.set_len(0).map_err(|e| Error::io(&part, e))?;
         let file = Some(BufWriter::with_capacity(BUFFER_BYTES, file));
         let mut writer = Self { path: path.to_path_buf(), part, file };
         writer.put(&[MAGIC, &kind, &version.to_le_bytes()])?;
@@ -116,6 +120,17 @@ impl Drop for ChunkWriter {
             let _ = std::fs::remove_file(&self.part);
         }
     }
+}
+
+/// What stands before the payload of a chunk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Header {
+    /// Its name.
+    pub tag: Tag,
+    /// Bytes of the payload.
+    pub length: u32,
+    /// Checksum of name, length and payload.
+    pub crc: u32,
 }
 
 /// Reads a file chunk by chunk, with memory for one chunk.
@@ -199,27 +214,17 @@ impl ChunkReader {
     pub fn next(&mut self, payload: &mut Vec<u8>) -> Result<Option<Tag>> {
         loop {
             let begin = self.at;
-            let path = self.path.clone();
-            let truncated = || Error::Truncated { path: path.clone(), offset: begin };
-            let left = self.file_bytes.saturating_sub(begin);
-            if left < CHUNK_HEADER_BYTES {
-                return Err(truncated());
-            }
-            let mut header = [0; CHUNK_HEADER_BYTES as usize];
-            self.file.read_exact(&mut header).map_err(|e| Error::io(&self.path, e))?;
-            let [tag, length, crc] = std::array::from_fn(|i| [0, 1, 2, 3].map(|k| header[4 * i + k]));
-            let (length, crc) = (u32::from_le_bytes(length), u32::from_le_bytes(crc));
-            let damaged = |problem: &str| Error::Damaged { path: path.clone(), offset: begin, problem: problem.into() };
+            let Header { tag, length, crc } = self.header()?;
             let limit = match self.known.iter().find(|(t, _)| *t == tag) {
                 Some((_, limit)) => Some(*limit),
                 None if tag == END => Some(0),
                 None => None,
             };
             if limit.is_some_and(|limit| length > limit) {
-                return Err(damaged("impossible length"));
+                return Err(self.damaged(begin, "impossible length"));
             }
-            if u64::from(length) > left - CHUNK_HEADER_BYTES {
-                return Err(truncated());
+            if u64::from(length) > self.file_bytes - begin - CHUNK_HEADER_BYTES {
+                return Err(self.truncated(begin));
             }
             payload.clear();
             let found = if limit.is_some() {
@@ -230,7 +235,7 @@ impl ChunkReader {
                 self.checksum_unknown(tag, length)?
             };
             if found != crc {
-                return Err(damaged("checksum"));
+                return Err(self.damaged(begin, "checksum"));
             }
             self.at = begin + CHUNK_HEADER_BYTES + u64::from(length);
             match limit {
@@ -239,6 +244,40 @@ impl ChunkReader {
                 None => {}
             }
         }
+    }
+
+    /// The header of the next chunk, whose payload is skipped unread and unchecked; `None` at the end of a whole file.
+    ///
+    /// # Errors
+    /// [`Error::Truncated`] if the file stops without its end chunk.
+    pub fn skip(&mut self) -> Result<Option<Header>> {
+        let begin = self.at;
+        let header = self.header()?;
+        let end = begin + CHUNK_HEADER_BYTES + u64::from(header.length);
+        if end > self.file_bytes {
+            return Err(self.truncated(begin));
+        }
+        self.seek(end)?;
+        Ok((header.tag != END).then_some(header))
+    }
+
+    /// Reads the header at `self.at`.
+    fn header(&mut self) -> Result<Header> {
+        if self.file_bytes.saturating_sub(self.at) < CHUNK_HEADER_BYTES {
+            return Err(self.truncated(self.at));
+        }
+        let mut bytes = [0; CHUNK_HEADER_BYTES as usize];
+        self.file.read_exact(&mut bytes).map_err(|e| Error::io(&self.path, e))?;
+        let [tag, length, crc] = std::array::from_fn(|i| [0, 1, 2, 3].map(|k| bytes[4 * i + k]));
+        Ok(Header { tag, length: u32::from_le_bytes(length), crc: u32::from_le_bytes(crc) })
+    }
+
+    fn truncated(&self, offset: u64) -> Error {
+        Error::Truncated { path: self.path.clone(), offset }
+    }
+
+    fn damaged(&self, offset: u64, problem: &str) -> Error {
+        Error::Damaged { path: self.path.clone(), offset, problem: problem.into() }
     }
 
     fn checksum_unknown(&mut self, tag: Tag, length: u32) -> Result<u32> {
@@ -314,6 +353,18 @@ mod tests {
         assert!(!path.exists());
         writer.finish().unwrap();
         (dir, path)
+    }
+
+    #[test]
+    fn a_file_has_one_writer_at_a_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("file.test");
+        let first = ChunkWriter::create(&path, KIND, 3).unwrap();
+        let message = ChunkWriter::create(&path, KIND, 3).err().unwrap().to_string();
+        assert!(message.contains("another process"), "{message}");
+        first.finish().unwrap();
+        ChunkWriter::create(&path, KIND, 3).unwrap().finish().unwrap();
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
     /// Every chunk up to the end or the first error.

@@ -4,6 +4,8 @@
 pub mod chunk;
 pub mod connectivity;
 pub mod depth;
+pub mod digest;
+pub mod exclusive;
 pub mod image;
 pub mod pack;
 pub mod vertices;

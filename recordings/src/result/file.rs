@@ -7,13 +7,14 @@ use crate::decision::{Cut, Decision, DecisionText, Warning};
 use crate::error::{Error, Result};
 use crate::local_light::LocalLight;
 use crate::result::estimate::Estimate;
+use crate::result::origin::{ORIGIN, Origin};
 use crate::types::Mesh;
 use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
 use std::path::Path;
 
 /// Kind of file.
 pub const KIND: Tag = *b"LRES";
-const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 1;
 const HEAD: Tag = *b"HEAD";
 const LIGHT: Tag = *b"LIGH";
 const TRIANGLES: Tag = *b"TRIA";
@@ -113,6 +114,14 @@ impl Estimate {
     /// # Errors
     /// The disk is full or gone; a number is not finite, an index out of range, or arrays differ in length.
     pub fn write(&self, path: &Path) -> Result<()> {
+        self.write_from(path, None)
+    }
+
+    /// Writes a result file that tells what it was made from.
+    ///
+    /// # Errors
+    /// As [`Estimate::write`].
+    pub fn write_from(&self, path: &Path, origin: Option<&Origin>) -> Result<()> {
         let refuse = |problem: String| Error::invalid(path, problem, "this result cannot be stored");
         self.check().map_err(refuse)?;
         let texts: Vec<DecisionText> = self.decisions.iter().map(Decision::text).collect();
@@ -139,6 +148,9 @@ impl Estimate {
         file.write(FINDINGS, &[&to_bytes(&(&self.decisions, &self.cuts, &self.warnings)).map_err(refuse)?])?;
         if self.local_light != LocalLight::default() {
             file.write(LOCAL_LIGHT, &[&to_bytes(&self.local_light).map_err(refuse)?])?;
+        }
+        if let Some(origin) = origin {
+            file.write(ORIGIN, &[&to_bytes(origin).map_err(refuse)?])?;
         }
         file.finish()
     }

@@ -2,5 +2,7 @@
 
 pub(crate) mod estimate;
 mod file;
+mod origin;
 
 pub use estimate::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
+pub use origin::Origin;

@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 
 /// Kind of file.
 pub const KIND: Tag = *b"SCAN";
-const VERSION: u32 = 1;
-const HEAD: Tag = *b"HEAD";
+pub(super) const VERSION: u32 = 1;
+pub(super) const HEAD: Tag = *b"HEAD";
 const STATISTICS: Tag = *b"STAT";
 const POSITIONS: Tag = *b"VERT";
 const NORMALS: Tag = *b"NORM";
@@ -23,7 +23,7 @@ const TRIANGLES: Tag = *b"TRIA";
 const KEYFRAME: Tag = *b"KEYF";
 const WITNESS: Tag = *b"WITN";
 const FRAME_BYTES: u32 = (1 << 28) + (1 << 16);
-const KNOWN: &[(Tag, u32)] = &[
+pub(super) const KNOWN: &[(Tag, u32)] = &[
     (HEAD, 1 << 24),
     (STATISTICS, 1 << 16),
     (POSITIONS, MESH_BYTES),

@@ -2,6 +2,8 @@
 
 pub(crate) mod contents;
 mod file;
+mod identity;
 
 pub use contents::{CaptureStats, FrameId, KeptFrame, Scan, ScanSource, ScanTail};
 pub use file::ScanWriter;
+pub use identity::ScanIdentity;

@@ -77,9 +77,35 @@ pub fn scanned_table(name: &str) -> (PathBuf, PathBuf) {
     (dir, PathBuf::from(folder.trim()))
 }
 
+/// True if another program can be run like this.
+pub fn works(command: &mut std::process::Command) -> bool {
+    command.output().is_ok_and(|o| o.status.success())
+}
+
+/// Python, if it finds the module; otherwise says why not. `LUMISCAN_PYTHON` names another interpreter.
+pub fn python(module: &str) -> Option<std::process::Command> {
+    let program = std::env::var("LUMISCAN_PYTHON").unwrap_or_else(|_| "python3".into());
+    let found = works(std::process::Command::new(&program).args(["-c", &format!("import {module}")]));
+    if !found {
+        eprintln!("skipped: {program} does not find the module {module} (LUMISCAN_PYTHON names another interpreter)");
+    }
+    found.then(|| std::process::Command::new(program))
+}
+
 /// The small recording that comes with the repository.
 pub fn tiny_recording() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tiny.lrec")
+}
+
+/// Publishes a scan of it in the device folder that takes half a second to estimate; returns the scan's folder.
+pub fn small_scan(device: &Path, effort: &[&str]) -> PathBuf {
+    let (source, device) = (arg(tiny_recording()), arg(device));
+    let mut args = vec!["replay", &source, "--device", &device];
+    for setting in ["fusion.voxel_size_m=0.05", "estimator.bands=2", "estimator.refine_poses=off"] {
+        args.extend(["--set", setting]);
+    }
+    args.extend(effort);
+    PathBuf::from(ok(&args).trim())
 }
 
 /// Writes a TUM folder: a table with two balls on it, seen from a camera that moves along a small arc.
