@@ -214,6 +214,45 @@ pub enum Decision {
         /// Vertices compared.
         samples: u32,
     },
+    /// Albedo at the resolution of the photographs.
+    Texture {
+        /// Median width of a pixel on the surface, over the keyframes, metres.
+        footprint_m: f64,
+        /// The atlas; `None` where nothing is seen, or its charts fit no page.
+        atlas: Option<AtlasFigures>,
+        /// How validation frames are predicted with the texture and without it; `None` without frames.
+        prediction: Option<TexturePrediction>,
+    },
+}
+
+/// Lit colours rendered into validation frames, means over the frames.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TexturePrediction {
+    /// PSNR with the colours of the vertices, dB.
+    pub vertices_psnr_db: f64,
+    /// PSNR with the texture, dB.
+    pub psnr_db: f64,
+    /// Energy of the rendering's upper octave over that of the frame, with the colours of the vertices.
+    pub vertices_sharpness: f64,
+    /// The same with the texture.
+    pub sharpness: f64,
+}
+
+/// Size of a texture atlas.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AtlasFigures {
+    /// Texels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Width of a texel on the surface, metres.
+    pub texel_m: f64,
+    /// Charts.
+    pub charts: u32,
+    /// Texels on the surface.
+    pub texels: u32,
+    /// Share of them that a keyframe shows.
+    pub seen: f64,
 }
 
 /// A model of the light that was tried.
@@ -328,6 +367,8 @@ pub enum Cut {
     },
     /// Lamps and emitting surfaces were not looked for.
     LocalLight,
+    /// No texture was made.
+    Texture,
 }
 
 impl Cut {
@@ -386,6 +427,8 @@ pub enum Reduction {
         /// Vertices asked for.
         from: u32,
     },
+    /// No texture.
+    Texture,
 }
 
 impl Reduction {

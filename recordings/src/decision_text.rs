@@ -84,6 +84,7 @@ impl Decision {
             Self::Witnesses { .. } => "witnesses",
             Self::Transfer { .. } => "transfer",
             Self::LightModel { .. } => "light model",
+            Self::Texture { .. } => "texture",
         }
     }
 
@@ -107,6 +108,8 @@ impl Decision {
             Self::Witnesses { refined: false, .. } => "as tracked".into(),
             Self::Transfer { chosen, .. } => chosen.to_string(),
             Self::LightModel { chosen, .. } => rung(*chosen).into(),
+            Self::Texture { atlas: Some(atlas), .. } => format!("{:.2} mm a texel", 1e3 * atlas.texel_m),
+            Self::Texture { atlas: None, .. } => "none".into(),
         }
     }
 
@@ -191,6 +194,24 @@ impl Decision {
                     ladder.iter().map(|r| format!("{} {:.4}", rung(r.model), r.held_out)).collect();
                 format!("mean relative error on held-out blocks of surface: {}", tried.join(", "))
             }
+            Self::Texture { footprint_m, atlas: Some(atlas), prediction } => {
+                let predicted = prediction.map_or(String::new(), |p| {
+                    format!(
+                        "; validation frames: {:.1} dB and {:.0} % of their upper octave's energy, {:.1} dB and {:.0} % \
+                         without it",
+                        p.psnr_db,
+                        100.0 * p.sharpness,
+                        p.vertices_psnr_db,
+                        100.0 * p.vertices_sharpness
+                    )
+                });
+                format!(
+                    "a pixel covers {:.2} mm in the median; keyframes show {:.0} % of the texels{predicted}",
+                    1e3 * footprint_m,
+                    100.0 * atlas.seen
+                )
+            }
+            Self::Texture { atlas: None, .. } => "no keyframe shows the mesh, or its charts fit no page".into(),
         }
     }
 
@@ -211,6 +232,10 @@ impl Decision {
             Self::DistantLight { vertices, .. } => format!("{vertices} vertices"),
             Self::Witnesses { frames, .. } => format!("{frames} frames rendered"),
             Self::LightModel { samples, ladder, .. } => format!("{} models, {samples} vertices each", ladder.len()),
+            Self::Texture { atlas: Some(atlas), .. } => {
+                format!("{} texels of {} × {} in {} charts", atlas.texels, atlas.width, atlas.height, atlas.charts)
+            }
+            Self::Texture { atlas: None, .. } => String::new(),
         }
     }
 
@@ -252,6 +277,10 @@ impl Decision {
                 }
             },
             Self::LightModel { .. } => String::new(),
+            Self::Texture { footprint_m, atlas: Some(atlas), .. } if atlas.texel_m > *footprint_m => {
+                "finer texels: a larger texture.max_side".into()
+            }
+            Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
         }
     }
 }
@@ -276,6 +305,7 @@ impl fmt::Display for Cut {
                 write!(f, "rays: {rays} per vertex, since {instead_of} were not there in time")
             }
             Self::Specular => f.write_str("specular: not looked for"),
+            Self::Texture => f.write_str("texture: not made"),
             Self::LocalLight => f.write_str("light: lamps and emitting surfaces were not looked for"),
             Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
             Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),
@@ -293,6 +323,7 @@ impl fmt::Display for Reduction {
             Self::Rays { to, from } => write!(f, "rays: {to} per vertex instead of {from}"),
             Self::PoseRounds { to, from } => write!(f, "pose refinement: {to} rounds instead of {from}"),
             Self::Specular => f.write_str("specular: not looked for"),
+            Self::Texture => f.write_str("texture: not made"),
             Self::Bands { to, from } => write!(f, "bands: at most {to} instead of {from}"),
             Self::Keyframes { stride, of } => write!(f, "keyframes: every {stride}nd of {of}"),
             Self::Vertices { to, from } => write!(f, "vertices: about {to} instead of {from}"),

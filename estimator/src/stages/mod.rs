@@ -7,6 +7,7 @@ mod model;
 mod prepare;
 mod result;
 mod run;
+mod texture;
 mod witnesses;
 
 pub use gloss::{Answer, remove_gloss};
@@ -15,4 +16,5 @@ pub use model::{SelectedModel, refine, select_model, trace};
 pub use prepare::{Prepared, prepare};
 pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};
 pub use run::Run;
+pub use texture::texture;
 pub use witnesses::witnesses;

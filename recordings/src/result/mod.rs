@@ -2,5 +2,7 @@
 
 pub(crate) mod estimate;
 mod file;
+mod texture;
 
 pub use estimate::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
+pub use texture::{Chart, MAX_TEXTURE_SIDE, Texture};
