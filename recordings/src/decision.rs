@@ -216,7 +216,7 @@ pub enum Decision {
     },
     /// Albedo at the resolution of the photographs.
     Texture {
-        /// Median width of a pixel on the surface, over the keyframes, metres.
+        /// Width of a pixel on the surface that is seen from near, metres.
         footprint_m: f64,
         /// The atlas; `None` where nothing is seen, or its charts fit no page.
         atlas: Option<AtlasFigures>,

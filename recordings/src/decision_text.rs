@@ -206,7 +206,7 @@ impl Decision {
                     )
                 });
                 format!(
-                    "a pixel covers {:.2} mm in the median; keyframes show {:.0} % of the texels{predicted}",
+                    "a pixel covers {:.2} mm where the surface is seen from near; keyframes show {:.0} % of the texels{predicted}",
                     1e3 * footprint_m,
                     100.0 * atlas.seen
                 )

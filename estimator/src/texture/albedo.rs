@@ -2,7 +2,6 @@
 
 use crate::association::{AssociationContext, RefinedView};
 use crate::export::picture::encode_jpeg;
-use crate::numerics::robust::median;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
 use crate::texture::texels::blend;
 use crate::texture::views::{TextureView, ViewSample, views};
@@ -47,7 +46,7 @@ pub fn texture(
     let Some(footprint) = footprint(context, &views) else { return none(0.0) };
     let wanted = match context.config.texture {
         TextureChoice::Texel(mm) => 1e-3 * mm as f32,
-        _ => footprint,
+        _ => footprint * tuning.texel_px as f32,
     };
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let scale = colors.albedo.iter().map(|a| a.max_element()).fold(1.0f32, f32::max);
@@ -71,7 +70,7 @@ pub fn texture(
     (Some(texture), Decision::Texture { footprint_m, atlas: Some(figures), prediction: None })
 }
 
-/// Median over the vertices of the smallest pixel that shows them.
+/// Width that the smallest pixel of the vertices has at those seen from near (`texture.near_share` of them).
 fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32> {
     let mesh = context.mesh;
     let stride = mesh.positions.len().div_ceil(FOOTPRINT_VERTICES).max(1);
@@ -79,7 +78,10 @@ fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32>
         let samples = views.iter().filter_map(|v| v.sample(context, mesh.positions[i], mesh.normals[i], 0.0));
         samples.map(|s| s.footprint).reduce(f32::min)
     });
-    median(smallest)
+    let mut smallest: Vec<f32> = smallest.collect();
+    smallest.sort_by(f32::total_cmp);
+    let share = context.config.tuning.texture.near_share;
+    smallest.get((share * smallest.len() as f64) as usize).or(smallest.last()).copied()
 }
 
 /// Albedo of the texels over `scale` in sRGB bytes, `[row][column]`, and the number of texels that a keyframe shows.

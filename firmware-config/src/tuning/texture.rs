@@ -7,6 +7,10 @@ section! {
     TextureTuning = "texture" {
         /// Longest side of the atlas: memory and time grow with its square.
         max_side: u32 = 2048, [64..=4096], "texels", "";
+        /// Share of the surface that is seen from near: the footprint of its pixels sets the width of a texel.
+        near_share: f64 = 0.25, [0.0..=1.0], "", "";
+        /// Width of a texel in that footprint. Texels as wide as pixels lose half of the finest octave to interpolation.
+        texel_px: f64 = 0.7, [0.1..=10.0], "px", "";
         /// Normals of a chart deviate from its axis by less than this.
         chart_angle_deg: f64 = 45.0, [5.0..=75.0], "deg", "";
         /// Longest side of a chart.
