@@ -45,10 +45,10 @@ impl Atlas {
             0.5 * (b - a).cross(c - a).length()
         };
         let surface = mesh.triangles.iter().map(area).sum::<f64>() as f32;
-        let mut texel = texel.max((surface / COVERED).sqrt() / tuning.max_side as f32);
-        if !(texel > 0.0 && texel.is_finite()) {
+        if !(surface > 0.0 && surface.is_finite() && texel.is_finite()) {
             return None;
         }
+        let mut texel = texel.max((surface / COVERED).sqrt() / tuning.max_side as f32);
         for _ in 0..ATTEMPTS {
             if let Some(atlas) = Self::with_texels(mesh, texel, tuning) {
                 return Some(atlas);

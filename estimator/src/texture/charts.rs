@@ -64,14 +64,12 @@ impl<'a> Cutter<'a> {
             self.next_seed += 1;
         }
         let seed = self.next_seed as u32;
-        let first = self.grow(seed, self.smooth[seed as usize], limits);
+        let mut axis = self.axis_of(seed);
+        let mut triangles = self.grow(seed, axis, limits);
         // Once more along the mean normal: the seed's own is as good as its noise.
-        let mean = self.mean_normal(&first).unwrap_or(Vec3::Z);
-        let (mut triangles, mut axis) = (first, mean);
-        if self.fits(seed, mean, limits) {
-            triangles = self.grow(seed, mean, limits);
-        } else {
-            axis = self.axis_of(seed);
+        if let Some(mean) = self.mean_normal(&triangles).filter(|m| self.fits(seed, *m, limits)) {
+            axis = mean;
+            triangles = self.grow(seed, axis, limits);
         }
         triangles.iter().for_each(|&t| self.taken[t as usize] = true);
         Some(Piece { axes: self.axes(&triangles, axis), triangles })
@@ -87,7 +85,8 @@ impl<'a> Cutter<'a> {
 
     fn axis_of(&self, t: u32) -> Vec3 {
         let (smooth, flat) = (self.smooth[t as usize], self.flat[t as usize]);
-        if smooth.dot(flat) > FLAT_COSINE { smooth } else { flat.try_normalize().unwrap_or(Vec3::Z) }
+        let axis = if flat == Vec3::ZERO || smooth.dot(flat) > FLAT_COSINE { smooth } else { flat };
+        axis.try_normalize().unwrap_or(Vec3::Z)
     }
 
     fn fits(&self, t: u32, axis: Vec3, limits: &ChartLimits) -> bool {

@@ -123,9 +123,13 @@ fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
     for (number, emitter) in (segments..).zip(&result.local_light.emitters) {
         emitter.vertices.iter().for_each(|&i| piece[i as usize] = Some(number));
     }
+    // With a texture all matte segments look alike, and readers treat the texture once a material.
+    let is_matte = |s: u32| result.segments[s as usize].w_s <= 0.0;
+    let first_matte = (0..segments).find(|&s| result.texture.is_some() && is_matte(s));
+    let looks_like = |s: u32| first_matte.filter(|_| is_matte(s)).unwrap_or(s);
     let material = |t: &[u32; 3]| {
         let of = piece[t[0] as usize].filter(|of| t.iter().all(|&i| piece[i as usize] == Some(*of)));
-        of.unwrap_or(result.segment[t[0] as usize])
+        of.unwrap_or_else(|| looks_like(result.segment[t[0] as usize]))
     };
     for segment in 0..segments + result.local_light.emitters.len() as u32 {
         let own = mesh.triangles.iter().zip(triangles).filter(|(t, _)| material(t) == segment);
