@@ -247,6 +247,8 @@ pub enum ExportTo {
     Exr,
     /// Of a result: a glTF scene with materials, light and cameras.
     Glb,
+    /// Of a result: a folder with the mesh as Wavefront OBJ, its materials and its texture.
+    Obj,
     /// Of a result and its scan: cameras and pictures as COLMAP's text model.
     Colmap,
     /// Of a result and its scan: cameras and pictures with a transforms.json.

@@ -134,6 +134,7 @@ fn desk() -> Estimate {
         albedo_scale_rule: String::new(),
         witnesses: Vec::new(),
         local_light: LocalLight::default(),
+        texture: None,
         mesh,
     }
 }

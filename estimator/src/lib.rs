@@ -35,6 +35,7 @@ pub mod segmentation;
 pub mod specular;
 pub mod stages;
 pub mod sweep;
+pub mod texture;
 pub mod transfer;
 pub mod validation;
 
@@ -103,8 +104,10 @@ pub fn estimate_on(
         Answer { found, gloss: vec![Gloss::NONE; prepared.segments] }
     };
 
+    let texture = stages::texture(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
+
     // Frames that no step used.
-    let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
+    let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, texture.as_ref(), &mut run);
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
     prepared.warnings.extend(stages::unseen_light(&answer.found, config));
@@ -129,5 +132,6 @@ pub fn estimate_on(
         warnings: prepared.warnings,
         witnesses,
         local_light,
+        texture,
     })
 }

@@ -8,10 +8,12 @@ use crate::association::{AssociationContext, RefinedView};
 use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
+use crate::texture::detail::Detail;
+use crate::texture::sharpness::OctaveEnergy;
 use firmware_config::{EstimatorConfig, Switch};
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
-use recordings::decision::Decision;
+use recordings::decision::{Decision, TexturePrediction};
 use recordings::result::WitnessError;
 use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose, Response};
 
@@ -30,6 +32,10 @@ pub struct Model<'a> {
     pub segment: &'a [u32],
     /// Specular weights: `[segment]`.
     pub gloss: &'a [Gloss],
+    /// Lit colour without gloss, linear RGB: `[vertex]`.
+    pub matte: &'a [Vec3],
+    /// Texture, if there is one.
+    pub detail: Option<&'a Detail<'a>>,
 }
 
 /// Prediction of one validation frame, and what limits it.
@@ -43,6 +49,8 @@ pub struct Compared {
     pub own_psnr_db: f64,
     /// RMS distance between the pixels of the two poses.
     pub moved_px: f64,
+    /// The lit colours with the texture and without it; `None` without texture.
+    pub texture: Option<TexturePrediction>,
 }
 
 /// One pixel, linear RGB: observed, lit colour, model.
@@ -72,7 +80,19 @@ pub fn compare(
         }
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
-    let own = seen(&Model { lit_color: &own_color, lit_weight: &own_weight, ..*model }, &view.world_from_camera);
+    let own = seen(
+        &Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, ..*model },
+        &view.world_from_camera,
+    );
+    let texture = model.detail.map(|_| {
+        let (pose, vertices) = (&view.world_from_camera, Model { detail: None, ..*model });
+        TexturePrediction {
+            vertices_psnr_db: psnr(&seen(&vertices, pose), 1),
+            psnr_db: psnr(&found, 1),
+            vertices_sharpness: sharpness(&vertices, context, &image, &view),
+            sharpness: sharpness(model, context, &image, &view),
+        }
+    });
     let compared = (picture.camera.width as usize).div_ceil(stride) * (picture.camera.height as usize).div_ceil(stride);
     let error = WitnessError {
         name: frame.name.clone(),
@@ -85,6 +105,20 @@ pub fn compare(
         tracked_psnr_db: [psnr(&first, 1), psnr(&first, 2)],
         own_psnr_db: psnr(&own, 1),
         moved_px: shift(context, &picture.camera, &tracked, &view.world_from_camera),
+        texture,
+    })
+}
+
+/// Means over the validation frames; `None` without texture or frames.
+#[must_use]
+pub fn texture_prediction(compared: &[Compared]) -> Option<TexturePrediction> {
+    let found: Vec<TexturePrediction> = compared.iter().filter_map(|c| c.texture).collect();
+    let mean = |of: fn(&TexturePrediction) -> f64| found.iter().map(of).sum::<f64>() / found.len() as f64;
+    (!found.is_empty()).then(|| TexturePrediction {
+        vertices_psnr_db: mean(|p| p.vertices_psnr_db),
+        psnr_db: mean(|p| p.psnr_db),
+        vertices_sharpness: mean(|p| p.vertices_sharpness),
+        sharpness: mean(|p| p.sharpness),
     })
 }
 
@@ -126,12 +160,50 @@ fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, 
         if triangle == MISS || distorted(lens, x, y).is_none() {
             return None;
         }
-        let corners = mesh.triangles[triangle as usize];
-        let weights = raster.weights(x, y, corners.map(|i| points[i as usize]));
+        let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
+        let weights = raster.weights(x, y, corners);
         let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
-        shade(model, corners, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
+        shade(model, triangle, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
     };
     rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
+}
+
+/// Energy of the upper octave of the lit colours, rendered, over that of the picture, in blocks on one smooth surface.
+fn sharpness(model: &Model, context: &AssociationContext, image: &ValidationImage, view: &RefinedView) -> f64 {
+    let (picture, mesh) = (image.picture, context.mesh);
+    let points = camera_positions(mesh, &view.world_from_camera);
+    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
+    let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
+    let block = |x: usize, y: usize| {
+        let (mut observed, mut rendered) = ([0.0; 4], [0.0; 4]);
+        let mut depths = (f32::INFINITY, 0.0f32);
+        for (i, (x, y)) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].into_iter().enumerate() {
+            let triangle = raster.triangle[y * width + x];
+            if triangle == MISS || distorted(image.lens, x, y).is_none() {
+                return None;
+            }
+            let depth = raster.depth[y * width + x];
+            depths = (depths.0.min(depth), depths.1.max(depth));
+            let bytes = picture.bytes(x, y);
+            if bytes.iter().any(|&b| b >= context.clipped) {
+                return None;
+            }
+            let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
+            let weights = raster.weights(x, y, corners);
+            let [lit, _] = shade(model, triangle, weights, view.world_from_camera.translation)?;
+            // Photon noise and contrast are alike at all levels in square roots of light.
+            observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
+            rendered[i] = f64::sqrt((0..3).map(|c| (view.gain[c] * lit[c]).max(0.0)).sum());
+        }
+        (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
+    };
+    let rows: Vec<usize> = (0..height.saturating_sub(1)).step_by(image.stride).collect();
+    let of_row = |&y: &usize| {
+        let blocks = (0..width.saturating_sub(1)).step_by(image.stride).filter_map(|x| block(x, y));
+        blocks.fold(OctaveEnergy::default(), OctaveEnergy::and)
+    };
+    let sums: Vec<OctaveEnergy> = rows.par_iter().map(of_row).collect();
+    sums.into_iter().fold(OctaveEnergy::default(), OctaveEnergy::and).kept()
 }
 
 /// RMS distance, in pixels, between the projections of the vertices that both poses see.
@@ -149,13 +221,21 @@ fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose)
 }
 
 /// Lit colour and model colour of a surface point, linear RGB; `None` where a corner was never seen.
-fn shade(model: &Model, corners: [u32; 3], weights: [f32; 3], camera: DVec3) -> Option<[[f64; 3]; 2]> {
+fn shade(model: &Model, triangle: u32, weights: [f32; 3], camera: DVec3) -> Option<[[f64; 3]; 2]> {
+    let corners = model.reflection.mesh.triangles[triangle as usize];
     if corners.iter().any(|&i| model.lit_weight[i as usize] <= 0.0) {
         return None;
     }
     let mix = |values: &[Vec3]| corners.iter().zip(weights).map(|(&i, w)| values[i as usize] * w).sum::<Vec3>();
-    let lit = mix(model.lit_color).to_array().map(f64::from);
-    let mut modelled = mix(model.diffuse).to_array().map(f64::from);
+    let (lit, diffuse) = match model.detail {
+        Some(detail) => {
+            let (ratio, matte) = (detail.ratio(triangle, weights), mix(model.matte));
+            (mix(model.lit_color) - matte + ratio * matte, ratio * mix(model.diffuse))
+        }
+        None => (mix(model.lit_color), mix(model.diffuse)),
+    };
+    let lit = lit.to_array().map(f64::from);
+    let mut modelled = diffuse.to_array().map(f64::from);
     let (w_d, w_s) = corners.iter().zip(weights).fold((0.0, 0.0), |(d, s), (&i, w)| {
         let gloss = model.gloss[model.segment[i as usize] as usize];
         let (w_d, w_s) = if gloss.significant { (gloss.w_d, gloss.w_s) } else { (1.0, 0.0) };

@@ -228,6 +228,7 @@ impl Config {
 mod tests {
     use super::*;
     use crate::capture::ResponseChoice;
+    use crate::estimator::TextureChoice;
 
     #[test]
     fn toml_round_trip() {
@@ -239,6 +240,22 @@ mod tests {
         assert!(!config.to_toml().contains("explained_share"), "thresholds are stored where they were changed");
         assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
         assert_eq!(Config::from_toml(&config.to_commented_toml()), Ok(config));
+    }
+
+    #[test]
+    fn textures_are_off_automatic_or_of_a_width() {
+        let mut config = Config::default();
+        for (text, expected) in
+            [("off", TextureChoice::Off), ("1.5", TextureChoice::Texel(1.5)), ("auto", TextureChoice::Auto)]
+        {
+            config.set(&format!("estimator.texture={text}")).unwrap();
+            assert_eq!(config.estimator.texture, expected);
+            assert_eq!(Config::from_toml(&config.to_toml()).as_ref(), Ok(&config));
+        }
+        for bad in ["fine", "0", "-2", "1000", "nan"] {
+            let e = config.set(&format!("estimator.texture={bad}")).unwrap_err().to_string();
+            assert!(e.contains("off, auto, or 0.05"), "{e}");
+        }
     }
 
     #[test]

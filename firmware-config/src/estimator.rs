@@ -1,6 +1,6 @@
 //! Settings of the estimator.
 
-use crate::settings::{choices, section};
+use crate::settings::{Value, choices, section};
 
 choices! {
     /// Level of light transport in the transfer.
@@ -66,6 +66,40 @@ choices! {
     }
 }
 
+/// Resolution of the texture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TextureChoice {
+    /// No texture.
+    Off,
+    /// As fine as the keyframes show the surface.
+    Auto,
+    /// Width of a texel in millimetres.
+    Texel(f64),
+}
+
+impl Value for TextureChoice {
+    /// Millimetres.
+    type Range = std::ops::RangeInclusive<f64>;
+    fn from_toml(value: &toml::Value, range: &Self::Range) -> Result<Self, String> {
+        match value.as_str() {
+            Some("off") => Ok(Self::Off),
+            Some("auto") => Ok(Self::Auto),
+            Some(_) => Err(Self::describe(range)),
+            None => f64::from_toml(value, range).map(Self::Texel).map_err(|_| Self::describe(range)),
+        }
+    }
+    fn to_toml(&self) -> String {
+        match self {
+            Self::Off => "\"off\"".into(),
+            Self::Auto => "\"auto\"".into(),
+            Self::Texel(mm) => mm.to_toml(),
+        }
+    }
+    fn describe(range: &Self::Range) -> String {
+        format!("off, auto, or {} … {} mm a texel", range.start(), range.end())
+    }
+}
+
 section! {
     /// Data association, segmentation, transfer, factorisation, specular.
     EstimatorConfig = "estimator" {
@@ -119,6 +153,8 @@ section! {
         solver: SolverChoice = SolverChoice::Robust, [()], "", "Eqs. (10)–(12)";
         /// Specular weights.
         specular: Switch = Switch::Auto, [()], "", "Eq. (13)";
+        /// Texture: albedo at the resolution of the photographs. Off, auto (as fine as the keyframes show the surface), or the width of a texel.
+        texture: TextureChoice = TextureChoice::Auto, [0.05..=100.0], "mm", "";
         /// Compromise between speed and accuracy, for every choice that the other settings leave open.
         quality: Quality = Quality::Standard, [()], "", "";
         /// Seed of all random directions.

@@ -35,7 +35,7 @@ pub mod tuning;
 pub use capture::{CaptureConfig, ResponseChoice};
 pub use config::Config;
 pub use daemon::DaemonConfig;
-pub use estimator::{EstimatorConfig, ExposureChoice, Quality, SolverChoice, Switch, TransferChoice};
+pub use estimator::{EstimatorConfig, ExposureChoice, Quality, SolverChoice, Switch, TextureChoice, TransferChoice};
 pub use fusion::FusionConfig;
 pub use handoff::HandoffConfig;
 pub use kinect::{CameraConfig, KinectConfig};

@@ -231,6 +231,15 @@ pub enum Decision {
         /// Seen vertices.
         vertices: u32,
     },
+    /// Albedo at the resolution of the photographs.
+    Texture {
+        /// Width of a pixel on the surface that is seen from near, metres.
+        footprint_m: f64,
+        /// The atlas; `None` where nothing is seen, or its charts fit no page.
+        atlas: Option<AtlasFigures>,
+        /// How validation frames are predicted with the texture and without it; `None` without frames.
+        prediction: Option<TexturePrediction>,
+    },
 }
 
 /// What fixed the scale of the albedo.
@@ -246,6 +255,36 @@ pub enum ScaleBasis {
         /// Its albedo, linear RGB.
         albedo: [f64; 3],
     },
+}
+
+/// Lit colours rendered into validation frames, means over the frames.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TexturePrediction {
+    /// PSNR with the colours of the vertices, dB.
+    pub vertices_psnr_db: f64,
+    /// PSNR with the texture, dB.
+    pub psnr_db: f64,
+    /// Energy of the rendering's upper octave over that of the frame, with the colours of the vertices.
+    pub vertices_sharpness: f64,
+    /// The same with the texture.
+    pub sharpness: f64,
+}
+
+/// Size of a texture atlas.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AtlasFigures {
+    /// Texels per row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Width of a texel on the surface, metres.
+    pub texel_m: f64,
+    /// Charts.
+    pub charts: u32,
+    /// Texels on the surface.
+    pub texels: u32,
+    /// Share of them that a keyframe shows.
+    pub seen: f64,
 }
 
 /// A model of the light that was tried.
@@ -360,6 +399,8 @@ pub enum Cut {
     },
     /// Lamps and emitting surfaces were not looked for.
     LocalLight,
+    /// No texture was made.
+    Texture,
 }
 
 impl Cut {
@@ -418,6 +459,8 @@ pub enum Reduction {
         /// Vertices asked for.
         from: u32,
     },
+    /// No texture.
+    Texture,
 }
 
 impl Reduction {

@@ -85,6 +85,7 @@ impl Decision {
             Self::Transfer { .. } => "transfer",
             Self::LightModel { .. } => "light model",
             Self::AlbedoScale { .. } => "albedo scale",
+            Self::Texture { .. } => "texture",
         }
     }
 
@@ -118,6 +119,8 @@ impl Decision {
             Self::AlbedoScale { chosen: ScaleBasis::Reference { albedo }, .. } => {
                 format!("by the reference, whose albedo is {}", list(albedo, 3))
             }
+            Self::Texture { atlas: Some(atlas), .. } => format!("{:.2} mm a texel", 1e3 * atlas.texel_m),
+            Self::Texture { atlas: None, .. } => "none".into(),
         }
     }
 
@@ -210,6 +213,24 @@ impl Decision {
                 100.0 * near_white,
                 100.0 * quantile,
             ),
+            Self::Texture { footprint_m, atlas: Some(atlas), prediction } => {
+                let predicted = prediction.map_or(String::new(), |p| {
+                    format!(
+                        "; validation frames: {:.1} dB and {:.0} % of their upper octave's energy, {:.1} dB and {:.0} % \
+                         without it",
+                        p.psnr_db,
+                        100.0 * p.sharpness,
+                        p.vertices_psnr_db,
+                        100.0 * p.vertices_sharpness
+                    )
+                });
+                format!(
+                    "a pixel covers {:.2} mm where the surface is seen from near; keyframes show {:.0} % of the texels{predicted}",
+                    1e3 * footprint_m,
+                    100.0 * atlas.seen
+                )
+            }
+            Self::Texture { atlas: None, .. } => "no keyframe shows the mesh, or its charts fit no page".into(),
         }
     }
 
@@ -231,6 +252,10 @@ impl Decision {
             Self::Witnesses { frames, .. } => format!("{frames} frames rendered"),
             Self::LightModel { samples, ladder, .. } => format!("{} models, {samples} vertices each", ladder.len()),
             Self::AlbedoScale { vertices, .. } => format!("{vertices} vertices"),
+            Self::Texture { atlas: Some(atlas), .. } => {
+                format!("{} texels of {} × {} in {} charts", atlas.texels, atlas.width, atlas.height, atlas.charts)
+            }
+            Self::Texture { atlas: None, .. } => String::new(),
         }
     }
 
@@ -275,6 +300,10 @@ impl Decision {
             Self::AlbedoScale { .. } => {
                 "a surface of known albedo, stated with `estimate --reference keyframe:N:X,Y=ALBEDO`".into()
             }
+            Self::Texture { footprint_m, atlas: Some(atlas), .. } if atlas.texel_m > *footprint_m => {
+                "finer texels: a larger texture.max_side".into()
+            }
+            Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
         }
     }
 }
@@ -299,6 +328,7 @@ impl fmt::Display for Cut {
                 write!(f, "rays: {rays} per vertex, since {instead_of} were not there in time")
             }
             Self::Specular => f.write_str("specular: not looked for"),
+            Self::Texture => f.write_str("texture: not made"),
             Self::LocalLight => f.write_str("light: lamps and emitting surfaces were not looked for"),
             Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
             Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),
@@ -316,6 +346,7 @@ impl fmt::Display for Reduction {
             Self::Rays { to, from } => write!(f, "rays: {to} per vertex instead of {from}"),
             Self::PoseRounds { to, from } => write!(f, "pose refinement: {to} rounds instead of {from}"),
             Self::Specular => f.write_str("specular: not looked for"),
+            Self::Texture => f.write_str("texture: not made"),
             Self::Bands { to, from } => write!(f, "bands: at most {to} instead of {from}"),
             Self::Keyframes { stride, of } => write!(f, "keyframes: every {stride}nd of {of}"),
             Self::Vertices { to, from } => write!(f, "vertices: about {to} instead of {from}"),

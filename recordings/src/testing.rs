@@ -7,7 +7,7 @@ use crate::decision::{
 };
 use crate::local_light::{Emitter, Lamp, LightModel, LocalLight};
 use crate::recording::Event;
-use crate::result::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
+use crate::result::{Chart, Estimate, Light, ResultKeyframe, Segment, Texture, WitnessError};
 use crate::scan::{CaptureStats, Scan, ScanSource};
 use crate::types::{
     Accelerometer, CameraModel, ColorEncoding, ColorFrame, DepthFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose,
@@ -273,6 +273,7 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
             lamps: vec![Lamp { center: [0.1, 0.2, 1.5], radius_m: 0.05, radiance: [9.0, 8.0, 7.0] }],
             emitters: vec![Emitter { vertices: (0..n.min(2)).collect(), radiance: [5.0, 4.0, 3.0] }],
         },
+        texture: None,
         mesh,
     }
 }
@@ -360,4 +361,24 @@ pub fn text_file(text: &str) -> (tempfile::TempDir, std::path::PathBuf) {
     let path = dir.path().join("file.txt");
     std::fs::write(&path, text).unwrap();
     (dir, path)
+}
+
+/// The result with a small texture in two charts.
+pub(crate) fn textured(mut estimate: Estimate) -> Estimate {
+    let (width, height) = (24, 16);
+    let pixels: Vec<u8> = (0..3 * width * height).map(|i| (i % 251) as u8).collect();
+    let mut jpeg = Vec::new();
+    jpeg_encoder::Encoder::new(&mut jpeg, 90).encode(&pixels, width, height, jpeg_encoder::ColorType::Rgb).unwrap();
+    let chart = |x_offset| Chart { x_axis: [8.0, 0.0, 0.0], y_axis: [0.0, 8.0, 0.0], x_offset, y_offset: 2.0 };
+    let triangles = 0..estimate.mesh.triangles.len() as u32;
+    estimate.texture = Some(Texture {
+        width: width.into(),
+        height: height.into(),
+        texel_m: 0.125,
+        scale: 1.0,
+        charts: vec![chart(2.0), chart(12.0)],
+        chart: triangles.map(|t| t % 3 / 2).collect(),
+        jpeg,
+    });
+    estimate
 }

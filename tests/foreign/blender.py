@@ -17,7 +17,12 @@ points = [o.matrix_world @ v.co for o in meshes for v in o.data.vertices]
 found = {
     "triangles": sum(len(o.data.polygons) for o in meshes),
     "cameras": sum(o.type == "CAMERA" for o in bpy.data.objects),
-    "colors": all(len(o.data.color_attributes) > 0 for o in meshes),
+    "coordinates": all(len(o.data.uv_layers) > 0 for o in meshes),
+    "texture": [
+        list(n.image.size)
+        for n in meshes[0].data.materials[0].node_tree.nodes
+        if n.type == "TEX_IMAGE" and any(l.to_socket.name == "Base Color" for l in n.outputs["Color"].links)
+    ],
     "up": max(p.z for p in points),
     "light": list(bpy.data.images.load(f"{folder}/light.exr").size),
 }

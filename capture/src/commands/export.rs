@@ -33,6 +33,10 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
             check_parent(output)?;
             estimator::export::glb::scene::write(&Estimate::read(&args.file)?, output).map_err(written)?;
         }
+        ExportTo::Obj => {
+            let result = Estimate::read(&args.file)?;
+            into_fresh_folder(output, |dir| estimator::export::obj::write(&result, dir).map_err(written))?;
+        }
         ExportTo::Exr => {
             check_parent(output)?;
             estimator::export::hdr::write_exr(&Estimate::read(&args.file)?.light, output).map_err(written)?;

@@ -30,6 +30,10 @@ const LAMP_SEARCH: f64 = 1.0;
 const PER_VERTEX_LIT: f64 = 2.0e-5;
 /// One validation frame, per pixel.
 const PER_WITNESS_PIXEL: f64 = 3.0e-6;
+/// The atlas, its texels without the views, and its compression.
+const ATLAS: f64 = 1.2;
+/// The texels of one keyframe.
+const PER_TEXTURED_VIEW: f64 = 0.1;
 /// Writing the result, per vertex.
 const PER_VERTEX_WRITTEN: f64 = 5.0e-6;
 /// Bounces until convergence, typically.
@@ -114,6 +118,12 @@ pub fn specular(size: &Size, bands: usize) -> f64 {
 #[must_use]
 pub fn local_light(size: &Size) -> f64 {
     LAMP_SEARCH + PER_VERTEX_LIT * size.vertices
+}
+
+/// The texture.
+#[must_use]
+pub fn texture(size: &Size) -> f64 {
+    ATLAS + PER_TEXTURED_VIEW * size.keyframes
 }
 
 /// Predicting one validation frame.

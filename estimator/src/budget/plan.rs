@@ -320,6 +320,23 @@ impl<'a> Plan<'a> {
         (self.full.specular, self.workload.specular) = (false, false);
     }
 
+    /// True if a texture is asked for and fits.
+    pub fn texture(&mut self) -> bool {
+        let size = self.workload.size(&self.size);
+        let fits = cost_model::texture(&size) + cost_model::output(&size) <= self.left();
+        if self.workload.texture && !fits {
+            self.fixed.push(Cut::Texture);
+        }
+        self.workload.texture && fits
+    }
+
+    /// The texture is made.
+    pub fn texture_done(&mut self) {
+        let size = self.workload.size(&self.size);
+        self.worked(cost_model::texture(&size));
+        (self.full.texture, self.workload.texture) = (false, false);
+    }
+
     /// True if the prediction of another validation frame fits; reports it as work.
     pub fn witness(&mut self) -> bool {
         let size = self.workload.size(&self.size);

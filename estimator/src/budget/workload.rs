@@ -3,7 +3,7 @@
 use crate::budget::cost_model::{self, Size};
 use crate::numerics::sh;
 use firmware_config::tuning::BudgetTuning;
-use firmware_config::{EstimatorConfig, Switch};
+use firmware_config::{EstimatorConfig, Switch, TextureChoice};
 use recordings::decision::Reduction;
 
 /// Rays of one round (`--rounds`).
@@ -30,6 +30,8 @@ pub struct Workload {
     pub bands: usize,
     /// Gloss is looked for.
     pub specular: bool,
+    /// A texture is made.
+    pub texture: bool,
 }
 
 impl Workload {
@@ -45,12 +47,13 @@ impl Workload {
             bounces: config.bounces,
             bands: if config.bands > 0 { config.bands as usize } else { sh::MAX_BANDS },
             specular: config.specular != Switch::Off,
+            texture: config.texture != TextureChoice::Off,
         }
     }
 
     /// The lowest level of what follows the light field.
     pub(super) fn least_light(self, tuning: &BudgetTuning) -> Self {
-        Self { rays: tuning.min_rays, bounces: 1, bands: 5, specular: false, ..self }
+        Self { rays: tuning.min_rays, bounces: 1, bands: 5, specular: false, texture: false, ..self }
     }
 
     /// The size of the scan at these levels.
@@ -79,10 +82,11 @@ impl Workload {
             + SOLUTIONS * cost_model::solution(self.bands)
     }
 
-    /// Reference seconds of gloss and output.
+    /// Reference seconds of gloss, texture and output.
     pub(super) fn end(&self, size: &Size) -> f64 {
         let specular = if self.specular { cost_model::specular(size, self.bands) } else { 0.0 };
-        specular + cost_model::output(size)
+        let texture = if self.texture { cost_model::texture(size) } else { 0.0 };
+        specular + texture + cost_model::output(size)
     }
 
     /// Reference seconds of the whole run.
@@ -109,6 +113,8 @@ impl Workload {
             next.pose_rounds = 2;
         } else if fewer_vertices >= f64::from(tuning.sufficient_vertices) {
             next.vertices = fewer_vertices as usize;
+        } else if self.texture {
+            next.texture = false;
         } else if self.specular {
             next.specular = false;
         } else if self.pose_rounds > 0 {
@@ -139,6 +145,7 @@ impl Workload {
             (self.rays != before.rays).then_some(Reduction::Rays { to: self.rays, from: before.rays }),
             (self.pose_rounds != before.pose_rounds)
                 .then_some(Reduction::PoseRounds { to: self.pose_rounds, from: before.pose_rounds }),
+            (self.texture != before.texture).then_some(Reduction::Texture),
             (self.specular != before.specular).then_some(Reduction::Specular),
             (self.bands != before.bands).then(|| Reduction::Bands { to: bands(self), from: bands(before) }),
             (self.keyframe_stride != before.keyframe_stride)

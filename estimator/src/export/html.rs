@@ -4,6 +4,7 @@
 use crate::export::file::write_whole;
 use crate::export::picture::encode_rgb;
 use crate::rays::RayScene;
+use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
 use crate::transfer::{Tracer, Transfer, bounce};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -63,25 +64,33 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         }
         start
     };
-    let positions: Vec<u16> = result
-        .mesh
-        .positions
+    let unwrapped = result.texture.as_ref().map(|t| Unwrapped::new(&result.mesh, t));
+    let vertices = match &unwrapped {
+        Some(unwrapped) => unwrapped.vertex.clone(),
+        None => (0..result.mesh.positions.len() as u32).collect(),
+    };
+    let triangles = unwrapped.as_ref().map_or(&result.mesh.triangles, |u| &u.triangles);
+    let coordinates = unwrapped.as_ref().map_or(&[][..], |u| &u.coordinates);
+    let positions: Vec<u16> = vertices
         .iter()
-        .flat_map(|p| ((*p - low) / size * 65_535.0).to_array().map(|x| x.round() as u16).into_iter().chain([0]))
+        .map(|&i| result.mesh.positions[i as usize])
+        .flat_map(|p| ((p - low) / size * 65_535.0).to_array().map(|x| x.round() as u16).into_iter().chain([0]))
         .collect();
     let srgb = |c: Vec3| [c.x, c.y, c.z].map(|c| Response::Srgb.encode(c));
     let shown = display_gain(result);
     let signed = |x: f32| (x * 127.0).round() as i8 as u8;
     let offsets = json!({
         "positions": part(bytemuck::cast_slice(&positions)),
-        "normals": part(&flat(&result.mesh.normals, |n| [signed(n.x), signed(n.y), signed(n.z), 0])),
-        "albedo": part(&flat(&result.albedo, |a| { let [r, g, b] = srgb(*a); [r, g, b, 255] })),
-        "lit": part(&flat(&result.lit_color, |f| { let [r, g, b] = srgb(*f * shown); [r, g, b, 255] })),
-        "confidence": part(&flat(&result.confidence, |c| [(c.clamp(0.0, 1.0) * 255.0) as u8])),
-        "segment": part(bytemuck::cast_slice(&result.segment.iter().map(|s| *s as u16).collect::<Vec<u16>>())),
-        "transfer": part(&transfer),
-        "triangles": part(bytemuck::cast_slice(&result.mesh.triangles)),
+        "normals": part(&flat(&vertices, &result.mesh.normals, |n| [signed(n.x), signed(n.y), signed(n.z), 0])),
+        "albedo": part(&flat(&vertices, &result.albedo, |a| { let [r, g, b] = srgb(*a); [r, g, b, 255] })),
+        "lit": part(&flat(&vertices, &result.lit_color, |f| { let [r, g, b] = srgb(*f * shown); [r, g, b, 255] })),
+        "confidence": part(&flat(&vertices, &result.confidence, |c| [(c.clamp(0.0, 1.0) * 255.0) as u8])),
+        "segment": part(&flat(&vertices, &result.segment, |s| (*s as u16).to_le_bytes())),
+        "transfer": part(&flat(&vertices, &transfer, |row| *row)),
+        "triangles": part(bytemuck::cast_slice(triangles)),
+        "coordinates": part(bytemuck::cast_slice(coordinates)),
     });
+    let texture = result.texture.as_ref().map(jpeg_up_to_one).transpose()?;
     let pictures = pictures(result, scan)?;
     let finite = |x: f64| if x.is_finite() { json!(x) } else { json!(null) };
     let total = result.segment.len().max(1) as f64;
@@ -90,6 +99,8 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
     let facts = json!({
         "name": result.name,
         "vertices": result.mesh.positions.len(),
+        "corners": vertices.len(),
+        "texture": texture.map(|jpeg| STANDARD.encode(jpeg)),
         "triangles": result.mesh.triangles.len(),
         "low": low.to_array(), "size": size.to_array(),
         "offsets": offsets, "transferScale": scale, "light": light, "gain": shown,
@@ -130,8 +141,9 @@ fn texts<T: ToString>(of: &[T]) -> Vec<String> {
     of.iter().map(ToString::to_string).collect()
 }
 
-fn flat<T, const N: usize>(values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
-    values.iter().flat_map(bytes).collect()
+/// Bytes of the `values`, `[vertex]`, of these vertices.
+fn flat<T, const N: usize>(vertices: &[u32], values: &[T], bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
+    vertices.iter().flat_map(|&i| bytes(&values[i as usize])).collect()
 }
 
 /// The factor under which the lit colours fill a screen's range.
@@ -142,7 +154,7 @@ fn display_gain(result: &Estimate) -> f32 {
 }
 
 /// Transfer (Eq. 8, gi, mean of the channels) in signed bytes, `[vertex][16]`, and the value of 127 per coefficient.
-fn transfer(result: &Estimate) -> (Vec<u8>, [f32; COEFFICIENTS]) {
+fn transfer(result: &Estimate) -> (Vec<[u8; COEFFICIENTS]>, [f32; COEFFICIENTS]) {
     let scene = RayScene::new(&result.mesh);
     let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
     let bounced = Some(bounce(&traced, &result.albedo, 0));
@@ -158,10 +170,8 @@ fn transfer(result: &Estimate) -> (Vec<u8>, [f32; COEFFICIENTS]) {
         }
         most.iter_mut().zip(row).for_each(|(m, r)| *m = m.max(r.abs()));
     }
-    let bytes = rows
-        .iter()
-        .flat_map(|row| std::array::from_fn::<u8, COEFFICIENTS, _>(|k| (row[k] / most[k] * 127.0).round() as i8 as u8))
-        .collect();
+    let bytes =
+        rows.iter().map(|row| std::array::from_fn(|k| (row[k] / most[k] * 127.0).round() as i8 as u8)).collect();
     (bytes, most)
 }
 

@@ -7,6 +7,7 @@ pub mod folder;
 pub mod glb;
 pub mod hdr;
 pub mod html;
+pub mod obj;
 pub mod picture;
 pub mod ply;
 #[cfg(test)]

@@ -31,6 +31,16 @@ pub(crate) fn encode_rgb(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8
     Ok(out)
 }
 
+/// An 8-bit RGB JPEG in memory, without subsampling of colour.
+pub(crate) fn encode_jpeg(width: u32, height: u32, bytes: &[u8], quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = (u16::try_from(width).map_err(Error::other)?, u16::try_from(height).map_err(Error::other)?);
+    let mut out = Vec::new();
+    let mut encoder = jpeg_encoder::Encoder::new(&mut out, quality);
+    encoder.set_sampling_factor(jpeg_encoder::SamplingFactor::F_1_1);
+    encoder.encode(bytes, width, height, jpeg_encoder::ColorType::Rgb).map_err(Error::other)?;
+    Ok(out)
+}
+
 fn encode(
     out: impl Write,
     width: u32,

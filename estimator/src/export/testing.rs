@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3, Vec3};
 use recordings::decision::TransferLevel;
 use recordings::local_light::LocalLight;
-use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
+use recordings::result::{Chart, Estimate, Light, ResultKeyframe, Segment, Texture};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Mesh, Pose, Response};
 
 /// A result with one triangle, two segments, two keyframes and one coefficient.
@@ -43,5 +43,24 @@ pub fn tiny() -> Estimate {
         albedo_scale_rule: "test".into(),
         witnesses: vec![],
         local_light: LocalLight::default(),
+        texture: None,
     }
+}
+
+/// The same with a texture: a red and a green half.
+pub fn textured() -> Estimate {
+    let mut result = tiny();
+    let (width, height) = (16, 8);
+    let pixels: Vec<u8> =
+        (0..width * height).flat_map(|i| if i % width < 8 { [200, 0, 0] } else { [0, 200, 0] }).collect();
+    result.texture = Some(Texture {
+        width,
+        height,
+        texel_m: 0.05,
+        scale: 1.0,
+        charts: vec![Chart { x_axis: [20.0, 0.0, 0.0], y_axis: [0.0, 10.0, 0.0], x_offset: 7.5, y_offset: 3.5 }],
+        chart: vec![0],
+        jpeg: crate::export::picture::encode_jpeg(width, height, &pixels, 95).unwrap(),
+    });
+    result
 }

@@ -3,6 +3,7 @@
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
 use crate::numerics::sh;
 use crate::rays::RayScene;
+use crate::texture::detail::Detail;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 use recordings::decision::TransferLevel;
@@ -47,6 +48,16 @@ impl<'a> KeyframeView<'a> {
 
     /// Paints every sample with the interpolated `values` of its triangle's corners, turned into a display value.
     pub fn paint(&self, values: &[Vec3], display: impl Fn(Vec3) -> [f32; 3] + Sync) -> Panel {
+        self.paint_with(None, values, display)
+    }
+
+    /// The same with values that follow the albedo, as fine as the texture has it.
+    pub fn paint_with(
+        &self,
+        detail: Option<&Detail>,
+        values: &[Vec3],
+        display: impl Fn(Vec3) -> [f32; 3] + Sync,
+    ) -> Panel {
         let (w, h) = (self.raster.camera.width / SUPERSAMPLING, self.raster.camera.height / SUPERSAMPLING);
         let pixels = (0..w * h).into_par_iter().map(|i| {
             let (mut sum, mut covered) = ([0.0f32; 3], 0.0f32);
@@ -59,7 +70,10 @@ impl<'a> KeyframeView<'a> {
                 }
                 let t = self.result.mesh.triangles[triangle as usize].map(|c| c as usize);
                 let weights = self.raster.weights(x, y, t.map(|c| self.corners[c]));
-                let value = values[t[0]] * weights[0] + values[t[1]] * weights[1] + values[t[2]] * weights[2];
+                let mut value = values[t[0]] * weights[0] + values[t[1]] * weights[1] + values[t[2]] * weights[2];
+                if let Some(detail) = detail {
+                    value *= detail.ratio(triangle, weights);
+                }
                 sum = std::array::from_fn(|c| sum[c] + display(value)[c]);
                 covered += 1.0;
             }

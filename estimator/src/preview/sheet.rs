@@ -9,6 +9,7 @@ use crate::preview::spheres;
 use crate::rays::RayScene;
 use crate::render::lighting::completion::complete;
 use crate::render::lighting::observed_background::surroundings;
+use crate::texture::detail::Detail;
 use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use recordings::result::{Estimate, ResultKeyframe};
@@ -43,6 +44,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let photo = photo.color.decode().map_err(|e| format!("keyframe {}: {e}", keyframe.name))?;
 
     let view = KeyframeView::new(result, keyframe, PANEL);
+    let detail = detail(result)?;
     let gain = Vec3::from_array(keyframe.gain.map(|g| g as f32));
     let as_photographed = |v: Vec3| (v * gain).to_array().map(|c| f32::from(result.response.encode(c)) / 255.0);
     let (albedo_scale, ws_max) = (display_scale(&result.albedo), largest_ws(result));
@@ -54,9 +56,12 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
 
     let mut panels = vec![
         (format!("Keyframe {}", keyframe.name), view.photo(&photo)),
-        ("Lit colours, re-rendered".into(), view.paint(&result.lit_color, as_photographed)),
-        ("Albedo × light + gloss".into(), view.paint(&view.model(), as_photographed)),
-        (format!("Albedo (× {albedo_scale:.2})"), view.paint(&result.albedo, |v| display(v * albedo_scale))),
+        ("Lit colours, re-rendered".into(), view.paint_with(detail.as_ref(), &result.lit_color, as_photographed)),
+        ("Albedo × light + gloss".into(), view.paint_with(detail.as_ref(), &view.model(), as_photographed)),
+        (
+            format!("Albedo (× {albedo_scale:.2})"),
+            view.paint_with(detail.as_ref(), &result.albedo, |v| display(v * albedo_scale)),
+        ),
         (format!("{} segments", result.segments.len()), view.paint(&by_segment(&segment_color), |v| v.to_array())),
         (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
         (format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands()), light(result)),
@@ -65,12 +70,17 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let balls =
         spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
     panels.push(("Grey, silver, mirror in this light".into(), balls));
-    panels.extend(validation_panels(scan, result)?);
+    panels.extend(validation_panels(scan, result, detail.as_ref())?);
     compose(&panels, &facts(scan, result), height)
 }
 
+/// The texture, decoded; `None` where there is none.
+fn detail(result: &Estimate) -> Result<Option<Detail<'_>>, String> {
+    result.texture.as_ref().map(|t| Detail::new(t, &result.mesh, &result.albedo)).transpose()
+}
+
 /// The validation frame (used by no step) with the largest coverage, its rendering, and their difference; empty without one.
-fn validation_panels(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Panel)>, String> {
+fn validation_panels(scan: &Scan, result: &Estimate, detail: Option<&Detail>) -> Result<Vec<(String, Panel)>, String> {
     let of = |w: &recordings::types::Keyframe| ResultKeyframe {
         name: w.name.clone(),
         timestamp_ns: 0,
@@ -88,7 +98,7 @@ fn validation_panels(scan: &Scan, result: &Estimate) -> Result<Vec<(String, Pane
     let from = of(frame);
     let view = KeyframeView::new(result, &from, PANEL);
     let photo = view.photo(&picture);
-    let mut rendering = view.paint(&view.model(), |v| v.to_array());
+    let mut rendering = view.paint_with(detail, &view.model(), |v| v.to_array());
     let table = result.response.linear_table();
     let gain = exposure(&photo, &rendering, &table);
     for (rgb, _) in &mut rendering.pixels {

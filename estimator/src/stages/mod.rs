@@ -9,6 +9,7 @@ mod reference;
 mod result;
 mod run;
 mod scale;
+mod texture;
 mod witnesses;
 
 pub use gloss::{Answer, remove_gloss};
@@ -18,4 +19,5 @@ pub use prepare::{Prepared, prepare};
 pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};
 pub use run::Run;
 pub use scale::{fix_scale, scale_rule};
+pub use texture::texture;
 pub use witnesses::witnesses;

@@ -5,10 +5,11 @@ use crate::specular::Reflection;
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
 use crate::stages::run::Run;
+use crate::texture::detail::Detail;
 use crate::validation;
 use glam::Vec3;
-use recordings::decision::Cut;
-use recordings::result::WitnessError;
+use recordings::decision::{Cut, Decision};
+use recordings::result::{Texture, WitnessError};
 use recordings::scan::Scan;
 
 /// Predicts the validation frames as far as the budget allows. `lit_with_gloss` are the lit colours before gloss was removed,
@@ -18,11 +19,14 @@ pub fn witnesses(
     scan: &Scan,
     answer: &Answer,
     lit_with_gloss: &[Vec3],
+    texture: Option<&Texture>,
     run: &mut Run,
 ) -> Vec<WitnessError> {
     run.progress.stage("witnesses", 0.0);
     let Answer { found, gloss } = answer;
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
+    let albedo = &found.detail.albedo;
+    let detail = texture.and_then(|t| Detail::new(t, &prepared.mesh, albedo).ok());
     let model = validation::Model {
         reflection: Reflection::new(&prepared.mesh, &prepared.scene, found),
         lit_color: lit_with_gloss,
@@ -30,6 +34,8 @@ pub fn witnesses(
         diffuse: &diffuse,
         segment: &prepared.segment,
         gloss,
+        matte: &prepared.fields.lit_color,
+        detail: detail.as_ref(),
     };
     let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
     let mut compared = Vec::new();
@@ -39,6 +45,12 @@ pub fn witnesses(
             break;
         }
         compared.extend(validation::compare(&model, &context, frame, run.config));
+    }
+    let found = validation::texture_prediction(&compared);
+    for decision in &mut prepared.decisions {
+        if let Decision::Texture { prediction, .. } = decision {
+            *prediction = found;
+        }
     }
     prepared.decisions.extend(validation::decision(&compared, run.config));
     compared.into_iter().map(|c| c.error).collect()

@@ -27,6 +27,7 @@ mod specular;
 mod supervision;
 mod surface_coverage;
 mod surroundings;
+mod texture;
 mod timing;
 mod tracking;
 mod tracking_effort;
@@ -59,6 +60,7 @@ pub use specular::SpecularTuning;
 pub use supervision::SupervisionTuning;
 pub use surface_coverage::SurfaceCoverageTuning;
 pub use surroundings::SurroundingsTuning;
+pub use texture::TextureTuning;
 pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
 pub use tracking_effort::TrackingEffortTuning;
@@ -92,6 +94,8 @@ tuning! {
         response: ResponseTuning;
         /// Segmentation into materials.
         segmentation: SegmentationTuning;
+        /// Texture.
+        texture: TextureTuning;
     }
 }
 

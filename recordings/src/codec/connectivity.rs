@@ -14,10 +14,11 @@ const NEW: u32 = 1;
 /// From here on: 2 + zigzag of the third vertex' number minus the edge's first vertex' number.
 const KNOWN: u32 = 2;
 
-/// Triangles coded, and the original index of each vertex by its number.
+/// Triangles coded, the original index of each vertex by its number, and that of each triangle by its place.
 pub(crate) struct Traversal {
     pub codes: Vec<u8>,
     pub order: Vec<u32>,
+    pub triangles: Vec<u32>,
 }
 
 type Edge = (u32, u32);
@@ -49,12 +50,14 @@ pub(crate) fn encode(triangles: &[[u32; 3]], vertices: usize) -> Traversal {
     let mut numbering = Numbering { number: vec![u32::MAX; vertices], order: Vec::with_capacity(vertices) };
     let mut visited = vec![false; triangles.len()];
     let (mut codes, mut seeds, mut seed_count) = (Vec::new(), Vec::new(), 0u32);
+    let mut listed = Vec::with_capacity(triangles.len());
     for seed in 0..triangles.len() {
         if visited[seed] || !is_regular[seed] {
             continue;
         }
         seed_count += 1;
         visited[seed] = true;
+        listed.push(seed as u32);
         triangles[seed].iter().for_each(|v| numbering.put(*v, &mut seeds));
         let mut front: VecDeque<Edge> = edges(triangles[seed]).into();
         while let Some((a, b)) = front.pop_front() {
@@ -67,6 +70,7 @@ pub(crate) fn encode(triangles: &[[u32; 3]], vertices: usize) -> Traversal {
                 continue;
             }
             visited[next as usize] = true;
+            listed.push(next);
             let third = triangles[next as usize].into_iter().find(|v| *v != a && *v != b).unwrap_or(a);
             match numbering.get(third) {
                 None => {
@@ -84,6 +88,7 @@ pub(crate) fn encode(triangles: &[[u32; 3]], vertices: usize) -> Traversal {
     let mut extras = Vec::new();
     let irregular = (0..triangles.len()).filter(|t| !is_regular[*t]);
     irregular.clone().for_each(|t| triangles[t].iter().for_each(|v| numbering.put(*v, &mut extras)));
+    listed.extend(irregular.clone().map(|t| t as u32));
     for vertex in 0..vertices as u32 {
         if numbering.get(vertex).is_none() {
             numbering.add(vertex);
@@ -97,7 +102,7 @@ pub(crate) fn encode(triangles: &[[u32; 3]], vertices: usize) -> Traversal {
         put_varint(&mut out, part.len() as u32);
         out.extend(part);
     }
-    Traversal { codes: out, order: numbering.order }
+    Traversal { codes: out, order: numbering.order, triangles: listed }
 }
 
 /// Numbers of vertices in the order in which they are met.
@@ -205,12 +210,15 @@ mod tests {
     }
 
     fn round_trip(triangles: &[[u32; 3]], vertices: u32) -> usize {
-        let Traversal { codes, order } = encode(triangles, vertices as usize);
+        let Traversal { codes, order, triangles: listed } = encode(triangles, vertices as usize);
         let mut sorted = order.clone();
         sorted.sort_unstable();
         assert_eq!(sorted, (0..vertices).collect::<Vec<_>>());
         let back = decode(&codes, vertices, triangles.len()).unwrap();
-        let back = back.into_iter().map(|t| t.map(|v| order[v as usize]));
+        let back: Vec<_> = back.into_iter().map(|t| t.map(|v| order[v as usize])).collect();
+        for (t, original) in back.iter().zip(&listed) {
+            assert_eq!(canonical([*t]), canonical([triangles[*original as usize]]));
+        }
         assert_eq!(canonical(back), canonical(triangles.iter().copied()));
         codes.len()
     }

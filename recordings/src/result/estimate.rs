@@ -2,6 +2,7 @@
 
 use crate::decision::{Cut, Decision, TransferLevel, Warning};
 use crate::local_light::LocalLight;
+use crate::result::texture::Texture;
 use crate::scan::contents::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
 use glam::Vec3;
@@ -114,6 +115,8 @@ pub struct Estimate {
     pub witnesses: Vec<WitnessError>,
     /// Lamps and emission, and the model of light that was chosen.
     pub local_light: LocalLight,
+    /// Albedo at the resolution of the photographs; `None` where it was not made.
+    pub texture: Option<Texture>,
 }
 
 impl Estimate {
@@ -136,6 +139,9 @@ impl Estimate {
         }
         self.light.check()?;
         self.local_light.check(n)?;
+        if let Some(texture) = &self.texture {
+            texture.check(self.mesh.triangles.len())?;
+        }
         for (index, s) in self.segments.iter().enumerate() {
             let numbers = [s.albedo[0], s.albedo[1], s.albedo[2], s.w_d, s.w_s];
             if !numbers.iter().all(|x| x.is_finite()) || s.w_s_error.is_nan() {

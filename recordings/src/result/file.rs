@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::local_light::LocalLight;
 use crate::result::estimate::Estimate;
 use crate::result::origin::{ORIGIN, Origin};
+use crate::result::texture::Texture;
 use crate::types::Mesh;
 use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
 use std::path::Path;
@@ -25,6 +26,8 @@ const COSTS: Tag = *b"COST";
 const FINDINGS: Tag = *b"FIND";
 /// Lamps and emission; absent where the light is distant. Programs that do not know it show the distant part alone.
 const LOCAL_LIGHT: Tag = *b"NEAR";
+/// Albedo at the resolution of the photographs; absent where it was not made. Programs that do not know it show the vertices.
+const TEXTURE: Tag = *b"TEXT";
 const KNOWN: &[(Tag, u32)] = &[
     (HEAD, 1 << 26),
     (LIGHT, 1 << 24),
@@ -33,6 +36,7 @@ const KNOWN: &[(Tag, u32)] = &[
     (COSTS, 1 << 20),
     (FINDINGS, 1 << 20),
     (LOCAL_LIGHT, 1 << 26),
+    (TEXTURE, 1 << 28),
 ];
 /// What the chunk of findings holds.
 type Findings = (Vec<Decision>, Vec<Cut>, Vec<Warning>);
@@ -44,14 +48,14 @@ impl Estimate {
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
-        let mut chunks: [Option<Vec<u8>>; 7] = Default::default();
+        let mut chunks: [Option<Vec<u8>>; 8] = Default::default();
         let mut payload = Vec::new();
         while let Some(tag) = file.next(&mut payload)? {
             if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
                 chunks[slot] = Some(std::mem::take(&mut payload));
             }
         }
-        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings, local] = chunks else {
+        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings, local, texture] = chunks else {
             return Err(invalid("a part is missing".into()));
         };
         let mut estimate =
@@ -60,6 +64,11 @@ impl Estimate {
         if let Some((local, _)) = local.as_deref().and_then(|l| from_bytes::<LocalLight>(l).ok()) {
             local.check(estimate.mesh.positions.len()).map_err(invalid)?;
             estimate.local_light = local;
+        }
+        if let Some(texture) = texture {
+            let texture = Texture::unpack(&texture).map_err(invalid)?;
+            texture.check(estimate.mesh.triangles.len()).map_err(invalid)?;
+            estimate.texture = Some(texture);
         }
         // A variant of a newer program leaves the sentences in place.
         if let Some((findings, _)) = findings.as_deref().and_then(|f| from_bytes::<Findings>(f).ok()) {
@@ -104,6 +113,7 @@ impl Estimate {
             albedo_scale_rule: head.albedo_scale_rule,
             witnesses: head.witnesses.into_iter().map(Into::into).collect(),
             local_light: LocalLight::default(),
+            texture: None,
         };
         estimate.check()?;
         Ok(estimate)
@@ -137,7 +147,8 @@ impl Estimate {
             albedo_scale_rule: self.albedo_scale_rule.clone(),
             witnesses: self.witnesses.iter().map(Into::into).collect(),
         };
-        let Traversal { codes, order } = connectivity::encode(&self.mesh.triangles, self.mesh.positions.len());
+        let Traversal { codes, order, triangles } =
+            connectivity::encode(&self.mesh.triangles, self.mesh.positions.len());
         let mut file = ChunkWriter::create(path, KIND, VERSION)?;
         file.write(HEAD, &[&to_bytes(&head).map_err(refuse)?])?;
         file.write(LIGHT, &[&to_bytes(&LightV1::from(&self.light)).map_err(refuse)?])?;
@@ -151,6 +162,9 @@ impl Estimate {
         }
         if let Some(origin) = origin {
             file.write(ORIGIN, &[&to_bytes(origin).map_err(refuse)?])?;
+        }
+        if let Some(texture) = &self.texture {
+            file.write(TEXTURE, &[&texture.pack(&triangles).map_err(refuse)?])?;
         }
         file.finish()
     }
@@ -176,7 +190,7 @@ mod tests {
     fn size(estimate: &Estimate) -> (f64, f64) {
         let (_dir, path) = written(estimate);
         let n = estimate.mesh.positions.len();
-        let Traversal { codes, order } = connectivity::encode(&estimate.mesh.triangles, n);
+        let Traversal { codes, order, .. } = connectivity::encode(&estimate.mesh.triangles, n);
         let triangles = vertices::pack_triangles(&codes, estimate.mesh.triangles.len(), &order).len();
         (std::fs::metadata(&path).unwrap().len() as f64 / n as f64, triangles as f64 / n as f64)
     }

@@ -3,6 +3,8 @@
 pub(crate) mod estimate;
 mod file;
 mod origin;
+mod texture;
 
 pub use estimate::{Estimate, Light, ResultKeyframe, Segment, WitnessError};
 pub use origin::Origin;
+pub use texture::{Chart, MAX_TEXTURE_SIDE, Texture};

@@ -51,6 +51,12 @@ impl Buffer {
         self.accessor(json!({ "bufferView": view, "componentType": FLOAT, "count": vectors.len(), "type": "VEC3" }))
     }
 
+    /// Appends texture coordinates; the number of their accessor.
+    pub fn add_coordinates(&mut self, coordinates: &[[f32; 2]]) -> usize {
+        let view = self.add(bytemuck::cast_slice(coordinates), Some(ARRAY));
+        self.accessor(json!({ "bufferView": view, "componentType": FLOAT, "count": coordinates.len(), "type": "VEC2" }))
+    }
+
     /// Appends RGBA colours, 65535 = 1; the number of their accessor.
     pub fn add_colors(&mut self, colors: &[[u16; 4]]) -> usize {
         let view = self.add(bytemuck::cast_slice(colors), Some(ARRAY));

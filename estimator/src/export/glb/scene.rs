@@ -4,6 +4,7 @@ use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
 use crate::export::glb::light::light;
 use crate::export::glb::local_light;
+use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, ResultKeyframe, Segment};
 use serde_json::{Value, json};
@@ -16,6 +17,11 @@ const GLOSSY_ROUGHNESS: f64 = 0.4;
 const MATTE_ROUGHNESS: f64 = 1.0;
 /// Reflectance of a dielectric at normal incidence that `specularFactor` scales.
 const DIELECTRIC_REFLECTANCE: f64 = 0.04;
+
+/// glTF's numbers of filters and of the wrapping mode.
+const LINEAR: u32 = 9729;
+const LINEAR_MIPMAP_LINEAR: u32 = 9987;
+const CLAMP: u32 = 33071;
 
 /// Writes the scene. Nothing appears under `path` before it is complete.
 ///
@@ -37,12 +43,17 @@ pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
     nodes.extend(result.keyframes.iter().enumerate().map(|(index, keyframe)| camera_node(index, keyframe)));
     let (lamps, emitters) = (&result.local_light.lamps, &result.local_light.emitters);
     nodes.extend(lamps.iter().enumerate().map(|(index, lamp)| local_light::lamp_node(index, lamp, turned)));
-    let (images, light) = light(result, &mut buffer)?;
+    let (mut images, light) = light(result, &mut buffer)?;
     let mut extensions = vec!["KHR_materials_specular", "EXT_lights_image_based"];
     extensions.extend((!lamps.is_empty()).then_some("KHR_lights_punctual"));
     extensions.extend((!emitters.is_empty()).then_some("KHR_materials_emissive_strength"));
-    let segments = result.segments.iter().enumerate().map(|(i, s)| material(i, s));
+    let segments = result.segments.iter().enumerate().map(|(i, s)| material(i, s, result.texture.is_some()));
     let materials = segments.chain(emitters.iter().enumerate().map(|(i, e)| local_light::material(i, e)));
+    let albedo = result.texture.as_ref().map(jpeg_up_to_one).transpose()?;
+    if let Some(jpeg) = &albedo {
+        images.push(json!({ "bufferView": buffer.add(jpeg, None), "mimeType": "image/jpeg" }));
+    }
+    let last_image = images.len().saturating_sub(1);
     let mut root = json!({
         "asset": { "version": "2.0", "generator": "lumiscan" },
         "extensionsUsed": extensions,
@@ -59,6 +70,11 @@ pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
         "buffers": [{ "byteLength": buffer.bytes.len() }],
         "bufferViews": buffer.views,
     });
+    if albedo.is_some() {
+        root["textures"] = json!([{ "name": "albedo", "sampler": 0, "source": last_image }]);
+        root["samplers"] =
+            json!([{ "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR, "wrapS": CLAMP, "wrapT": CLAMP }]);
+    }
     if !result.keyframes.is_empty() {
         root["cameras"] = result.keyframes.iter().map(camera).collect();
     }
@@ -77,31 +93,47 @@ fn turned(p: Vec3) -> [f32; 3] {
 /// A primitive per segment, and one per emitting piece, over shared vertices.
 fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
     let mesh = &result.mesh;
-    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| turned(*p)).collect();
-    let normals: Vec<[f32; 3]> = mesh.normals.iter().map(|n| turned(n.try_normalize().unwrap_or(Vec3::Z))).collect();
+    let unwrapped = result.texture.as_ref().map(|t| Unwrapped::new(mesh, t));
+    let vertices: Vec<u32> = match &unwrapped {
+        Some(unwrapped) => unwrapped.vertex.clone(),
+        None => (0..mesh.positions.len() as u32).collect(),
+    };
+    let positions: Vec<[f32; 3]> = vertices.iter().map(|&i| turned(mesh.positions[i as usize])).collect();
+    let normal = |&i: &u32| turned(mesh.normals[i as usize].try_normalize().unwrap_or(Vec3::Z));
+    let normals: Vec<[f32; 3]> = vertices.iter().map(normal).collect();
     // Normalised shorts keep an albedo's dark end, which bytes of linear light would not.
     let color = |a: &Vec3| {
         let c = a.clamp(Vec3::ZERO, Vec3::ONE) * 65_535.0;
         [c.x.round() as u16, c.y.round() as u16, c.z.round() as u16, u16::MAX]
     };
-    let colors: Vec<[u16; 4]> = result.albedo.iter().map(color).collect();
-    let attributes = json!({
-        "POSITION": buffer.add_positions(&positions), "NORMAL": buffer.add_vectors(&normals),
-        "COLOR_0": buffer.add_colors(&colors),
-    });
+    let mut attributes =
+        json!({ "POSITION": buffer.add_positions(&positions), "NORMAL": buffer.add_vectors(&normals) });
+    // Colours would be multiplied with the texture.
+    match &unwrapped {
+        Some(unwrapped) => attributes["TEXCOORD_0"] = json!(buffer.add_coordinates(&unwrapped.coordinates)),
+        None => {
+            let colors: Vec<[u16; 4]> = result.albedo.iter().map(color).collect();
+            attributes["COLOR_0"] = json!(buffer.add_colors(&colors));
+        }
+    }
+    let triangles = unwrapped.as_ref().map_or(&mesh.triangles, |u| &u.triangles);
     let mut primitives = Vec::new();
     let segments = result.segments.len() as u32;
     let mut piece: Vec<Option<u32>> = vec![None; mesh.positions.len()];
     for (number, emitter) in (segments..).zip(&result.local_light.emitters) {
         emitter.vertices.iter().for_each(|&i| piece[i as usize] = Some(number));
     }
+    // With a texture all matte segments look alike, and readers treat the texture once a material.
+    let is_matte = |s: u32| result.segments[s as usize].w_s <= 0.0;
+    let first_matte = (0..segments).find(|&s| result.texture.is_some() && is_matte(s));
+    let looks_like = |s: u32| first_matte.filter(|_| is_matte(s)).unwrap_or(s);
     let material = |t: &[u32; 3]| {
         let of = piece[t[0] as usize].filter(|of| t.iter().all(|&i| piece[i as usize] == Some(*of)));
-        of.unwrap_or(result.segment[t[0] as usize])
+        of.unwrap_or_else(|| looks_like(result.segment[t[0] as usize]))
     };
     for segment in 0..segments + result.local_light.emitters.len() as u32 {
-        let own = mesh.triangles.iter().filter(|t| material(t) == segment);
-        let indices: Vec<u32> = own.flatten().copied().collect();
+        let own = mesh.triangles.iter().zip(triangles).filter(|(t, _)| material(t) == segment);
+        let indices: Vec<u32> = own.flat_map(|(_, corners)| *corners).collect();
         if !indices.is_empty() {
             let indices = buffer.add_indices(&indices);
             primitives.push(json!({ "attributes": attributes, "indices": indices, "material": segment, "mode": 4 }));
@@ -110,10 +142,10 @@ fn primitives(result: &Estimate, buffer: &mut Buffer) -> Vec<Value> {
     primitives
 }
 
-fn material(index: usize, segment: &Segment) -> Value {
+fn material(index: usize, segment: &Segment, textured: bool) -> Value {
     // w_s is a reflectance; the extension's factor scales the dielectric's, its colour goes beyond 1.
     let strength = segment.w_s.clamp(0.0, 1.0) / DIELECTRIC_REFLECTANCE;
-    json!({
+    let mut material = json!({
         "name": format!("segment {index}"),
         "doubleSided": true,
         "pbrMetallicRoughness": {
@@ -125,7 +157,11 @@ fn material(index: usize, segment: &Segment) -> Value {
             "specularColorFactor": vec![strength.max(1.0); 3],
         } },
         "extras": { "w_d": segment.w_d, "w_s": segment.w_s, "vertices": segment.vertices },
-    })
+    });
+    if textured {
+        material["pbrMetallicRoughness"]["baseColorTexture"] = json!({ "index": 0 });
+    }
+    material
 }
 
 fn camera(keyframe: &ResultKeyframe) -> Value {
@@ -155,7 +191,7 @@ fn camera_node(index: usize, keyframe: &ResultKeyframe) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::testing::tiny;
+    use crate::export::testing::{textured, tiny};
     use crate::render::objects::gltf::document;
     use recordings::local_light::{Emitter, Lamp};
 
@@ -170,6 +206,16 @@ mod tests {
                 let j = result.mesh.positions.iter().position(|q| q.distance(p) < 1e-6).expect("same vertices");
                 assert!((object.color[i as usize] - result.albedo[j]).length() < 1e-4);
             }
+        }
+    }
+
+    #[test]
+    fn a_texture_takes_the_place_of_the_colours() {
+        let object = document::read(&scene(&textured()).unwrap(), Path::new(".")).unwrap();
+        for (p, brdf) in object.mesh.positions.iter().zip(object.vertex_brdfs()).filter(|(p, _)| p.x != 0.0) {
+            let (own, other) =
+                if p.x < 0.0 { (brdf.diffuse.x, brdf.diffuse.y) } else { (brdf.diffuse.y, brdf.diffuse.x) };
+            assert!(own > 0.5 && other < 0.02, "red on the left, green on the right: {:?} at {p}", brdf.diffuse);
         }
     }
 
@@ -196,8 +242,11 @@ mod tests {
     #[test]
     fn the_khronos_validator_accepts_it() {
         let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("tiny.glb");
-        write(&tiny(), &file).unwrap();
+        let files = [tiny(), textured()].map(|result| {
+            let file = folder.path().join(if result.texture.is_some() { "textured.glb" } else { "tiny.glb" });
+            write(&result, &file).unwrap();
+            file
+        });
         let script = "const v=require('gltf-validator'),fs=require('fs');\
             v.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1]))).then(r=>{console.log(JSON.stringify(r.issues));\
             process.exit(r.issues.numErrors?1:0)})";
@@ -206,12 +255,14 @@ mod tests {
             eprintln!("skipped: node with the npm package gltf-validator is not installed");
             return;
         }
-        let out = std::process::Command::new("node").args(["-e", script]).arg(&file).output().unwrap();
-        assert!(
-            out.status.success(),
-            "{}{}",
-            String::from_utf8_lossy(&out.stdout),
-            String::from_utf8_lossy(&out.stderr)
-        );
+        for file in files {
+            let out = std::process::Command::new("node").args(["-e", script]).arg(&file).output().unwrap();
+            assert!(
+                out.status.success(),
+                "{}{}",
+                String::from_utf8_lossy(&out.stdout),
+                String::from_utf8_lossy(&out.stderr)
+            );
+        }
     }
 }

@@ -20,7 +20,7 @@ if (!gl) { canvas.hidden = true; $("without").hidden = false; return; }
 const text = atob($("data").textContent);
 const raw = new Uint8Array(text.length);
 for (let i = 0; i < text.length; i++) raw[i] = text.charCodeAt(i);
-const n = facts.vertices, at = facts.offsets;
+const n = facts.corners, at = facts.offsets;
 const positions = new Uint16Array(raw.buffer, at.positions, 4 * n);
 const segments = new Uint16Array(raw.buffer, at.segment, n);
 const triangles = new Uint32Array(raw.buffer, at.triangles, 3 * facts.triangles);
@@ -69,7 +69,16 @@ const lightVertex = `#version 300 es
   }`;
 const drawVertex = `#version 300 es
   uniform mat4 camera; layout(location=0) in vec3 position; layout(location=1) in vec4 shade; out vec3 color;
-  void main() { gl_Position = camera * vec4(position, 1.0); color = shade.rgb; }`;
+  layout(location=2) in vec2 place; layout(location=3) in vec4 albedo; out vec2 texel; out vec3 smoothAlbedo;
+  void main() { gl_Position = camera * vec4(position, 1.0); color = shade.rgb; texel = place; smoothAlbedo = albedo.rgb; }`;
+// The texture's albedo over that of the vertices, as encoded: a ratio of powers is the power of the ratio.
+const drawFragment = `#version 300 es
+  precision highp float; in vec3 color; in vec2 texel; in vec3 smoothAlbedo; out vec4 pixel;
+  uniform sampler2D sharp; uniform bool textured;
+  void main() {
+    vec3 detail = textured ? texture(sharp, texel).rgb / max(smoothAlbedo, vec3(0.02)) : vec3(1.0);
+    pixel = vec4(color * detail, 1.0);
+  }`;
 const objectVertex = `#version 300 es
   uniform mat4 camera; uniform vec3 foot, eye, light[16], gain; uniform float size, shown;
   layout(location=0) in vec3 position; layout(location=1) in vec3 normal; layout(location=2) in vec4 look; out vec3 color;
@@ -105,7 +114,7 @@ const program = (vertex, fragments, kept) => {
   const places = {};
   return { p, u: (name) => places[name] ??= gl.getUniformLocation(p, name) };
 };
-const lit = program(lightVertex, nothing, ["packed"]), scan = program(drawVertex, fragment), thing = program(objectVertex, fragment);
+const lit = program(lightVertex, nothing, ["packed"]), scan = program(drawVertex, drawFragment), thing = program(objectVertex, fragment);
 
 const store = (data, target = gl.ARRAY_BUFFER, use = gl.STATIC_DRAW) => {
   const buffer = gl.createBuffer();
@@ -121,7 +130,7 @@ gl.bindVertexArray(lightArrays);
 const places = part(at.positions, 8 * n);
 attribute(0, 3, gl.UNSIGNED_SHORT, true, 8);
 part(at.normals, 4 * n); attribute(1, 3, gl.BYTE, true, 4);
-part(at.albedo, 4 * n); attribute(2, 4, gl.UNSIGNED_BYTE, true, 4);
+const albedos = part(at.albedo, 4 * n); attribute(2, 4, gl.UNSIGNED_BYTE, true, 4);
 part(at.lit, 4 * n); attribute(3, 4, gl.UNSIGNED_BYTE, true, 4);
 part(at.confidence, n); attribute(4, 1, gl.UNSIGNED_BYTE, true, 1);
 part(at.segment, 2 * n); attribute(5, 1, gl.UNSIGNED_SHORT, false, 2);
@@ -132,6 +141,8 @@ const scanArrays = gl.createVertexArray();
 gl.bindVertexArray(scanArrays);
 gl.bindBuffer(gl.ARRAY_BUFFER, places); attribute(0, 3, gl.UNSIGNED_SHORT, true, 8);
 const shades = store(4 * n, gl.ARRAY_BUFFER, gl.DYNAMIC_COPY); attribute(1, 4, gl.UNSIGNED_BYTE, true, 4);
+if (facts.texture) { part(at.coordinates, 8 * n); attribute(2, 2, gl.FLOAT, false, 8); }
+gl.bindBuffer(gl.ARRAY_BUFFER, albedos); attribute(3, 4, gl.UNSIGNED_BYTE, true, 4);
 store(triangles, gl.ELEMENT_ARRAY_BUFFER);
 gl.bindVertexArray(null);
 gl.bindBuffer(gl.ARRAY_BUFFER, null);
@@ -148,6 +159,21 @@ gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
 gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 1024, rows, 0, gl.RGBA, gl.FLOAT, looks);
 gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
 gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+
+let sharp = null;
+if (facts.texture) {
+  const image = new Image();
+  image.onload = () => {
+    sharp = gl.createTexture();
+    gl.activeTexture(gl.TEXTURE1); gl.bindTexture(gl.TEXTURE_2D, sharp);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB8, gl.RGB, gl.UNSIGNED_BYTE, image);
+    gl.generateMipmap(gl.TEXTURE_2D);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.activeTexture(gl.TEXTURE0);
+    draw();
+  };
+  image.src = "data:image/jpeg;base64," + facts.texture;
+}
 
 const middle = [0, 1, 2].map((k) => facts.low[k] + facts.size[k] / 2);
 const extent = Math.hypot(...facts.size);
@@ -238,6 +264,7 @@ const draw = () => {
 
   gl.useProgram(scan.p); gl.bindVertexArray(scanArrays);
   gl.uniformMatrix4fv(scan.u("camera"), false, matrix(c, facts.low, facts.size));
+  gl.uniform1i(scan.u("sharp"), 1); gl.uniform1i(scan.u("textured"), sharp && Number($("mode").value) < 3 ? 1 : 0);
   gl.drawElements(gl.TRIANGLES, triangles.length, gl.UNSIGNED_INT, 0);
   if (thingShown) {
     gl.useProgram(thing.p); gl.bindVertexArray(thingShown.arrays);

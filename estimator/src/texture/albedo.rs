@@ -1,0 +1,176 @@
+//! The albedo texture: radiance of the texels, less gloss, over the light at the vertices.
+
+use crate::association::{AssociationContext, RefinedView};
+use crate::export::picture::encode_jpeg;
+use crate::texture::atlas::{Atlas, EMPTY, weights};
+use crate::texture::texels::blend;
+use crate::texture::views::{TextureView, ViewSample, views};
+use firmware_config::TextureChoice;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use recordings::decision::{AtlasFigures, Decision};
+use recordings::result::Texture;
+use recordings::types::{Keyframe, Response};
+
+/// Vertices at which the footprint of the pixels is looked up.
+const FOOTPRINT_VERTICES: usize = 4000;
+/// Largest factor between the albedo of a texel and of the vertices around it.
+const MAX_RATIO: f32 = 8.0;
+/// Smallest share of a texel's radiance that is left when gloss is taken off.
+const MIN_MATTE: f32 = 0.05;
+/// Rings of empty texels around the charts that take their mean colour, for coarse mipmaps and the blocks of JPEG.
+const FILL_RINGS: usize = 8;
+
+/// What the vertices know: `[vertex]`.
+#[derive(Clone, Copy)]
+pub struct VertexColors<'a> {
+    /// Lit colour with gloss.
+    pub with_gloss: &'a [Vec3],
+    /// Lit colour without gloss.
+    pub matte: &'a [Vec3],
+    /// Weight of the lit colour, 0 = never seen.
+    pub weight: &'a [f32],
+    /// Albedo.
+    pub albedo: &'a [Vec3],
+}
+
+/// A texture, and how it was decided.
+#[must_use]
+pub fn texture(
+    context: &AssociationContext,
+    keyframes: &[(&Keyframe, &RefinedView)],
+    colors: VertexColors,
+) -> (Option<Texture>, Decision) {
+    let (tuning, views) = (&context.config.tuning.texture, views(context, keyframes));
+    let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
+    let Some(footprint) = footprint(context, &views) else { return none(0.0) };
+    let wanted = match context.config.texture {
+        TextureChoice::Texel(mm) => 1e-3 * mm as f32,
+        _ => footprint * tuning.texel_px as f32,
+    };
+    let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
+    let scale = colors.albedo.iter().map(|a| a.max_element()).fold(1.0f32, f32::max);
+    let (mut pixels, seen) = texels(context, &views, &atlas, colors, scale);
+    fill(&mut pixels, &atlas);
+    let Ok(jpeg) = encode_jpeg(atlas.width, atlas.height, &pixels, tuning.jpeg_quality as u8) else {
+        return none(f64::from(footprint));
+    };
+    let texels = atlas.owner.iter().filter(|o| **o != EMPTY).count();
+    let figures = AtlasFigures {
+        width: atlas.width,
+        height: atlas.height,
+        texel_m: f64::from(atlas.texel),
+        charts: atlas.charts.len() as u32,
+        texels: texels as u32,
+        seen: seen as f64 / texels.max(1) as f64,
+    };
+    let Atlas { width, height, texel, charts, chart, .. } = atlas;
+    let texture = Texture { width, height, texel_m: texel, scale, charts, chart, jpeg };
+    let footprint_m = f64::from(footprint);
+    (Some(texture), Decision::Texture { footprint_m, atlas: Some(figures), prediction: None })
+}
+
+/// Width that the smallest pixel of the vertices has at those seen from near (`texture.near_share` of them).
+fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32> {
+    let mesh = context.mesh;
+    let stride = mesh.positions.len().div_ceil(FOOTPRINT_VERTICES).max(1);
+    let smallest = (0..mesh.positions.len()).step_by(stride).filter_map(|i| {
+        let samples = views.iter().filter_map(|v| v.sample(context, mesh.positions[i], mesh.normals[i], 0.0));
+        samples.map(|s| s.footprint).reduce(f32::min)
+    });
+    let mut smallest: Vec<f32> = smallest.collect();
+    smallest.sort_by(f32::total_cmp);
+    let share = context.config.tuning.texture.near_share;
+    smallest.get((share * smallest.len() as f64) as usize).or(smallest.last()).copied()
+}
+
+/// Albedo of the texels over `scale` in sRGB bytes, `[row][column]`, and the number of texels that a keyframe shows.
+fn texels(
+    context: &AssociationContext,
+    views: &[TextureView],
+    atlas: &Atlas,
+    colors: VertexColors,
+    scale: f32,
+) -> (Vec<u8>, usize) {
+    let (width, mesh) = (atlas.width as usize, context.mesh);
+    let power = context.config.tuning.texture.weight_power as f32;
+    let mut pixels = vec![0u8; 3 * atlas.owner.len()];
+    let rows = pixels.par_chunks_mut(3 * width).zip(atlas.owner.par_chunks(width)).enumerate();
+    let seen: Vec<usize> = rows
+        .map(|(y, (pixels, owners))| {
+            let (mut samples, mut seen): (Vec<ViewSample>, usize) = (Vec::new(), 0);
+            for (x, &owner) in owners.iter().enumerate().filter(|(_, owner)| **owner != EMPTY) {
+                let corners = mesh.triangles[owner as usize];
+                let chart = &atlas.charts[atlas.chart[owner as usize] as usize];
+                let w = weights(chart, corners.map(|i| mesh.positions[i as usize]), Vec2::new(x as f32, y as f32));
+                let mix =
+                    |of: &[Vec3], w: [f32; 3]| corners.iter().zip(w).map(|(&i, w)| of[i as usize] * w).sum::<Vec3>();
+                let near = normalised(w);
+                let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
+                let mut albedo = mix(colors.albedo, near);
+                samples.clear();
+                samples.extend(views.iter().filter_map(|v| v.sample(context, point, normal, atlas.texel)));
+                if let Some(radiance) = blend(&mut samples, power) {
+                    seen += 1;
+                    if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
+                        let matte = mix(colors.matte, near);
+                        let gloss = mix(colors.with_gloss, near) - matte;
+                        albedo *= ratio((radiance - gloss).max(radiance * MIN_MATTE), matte);
+                    }
+                }
+                let bytes = (albedo / scale).to_array().map(|a| Response::Srgb.encode(a));
+                pixels[3 * x..3 * x + 3].copy_from_slice(&bytes);
+            }
+            seen
+        })
+        .collect();
+    (pixels, seen.into_iter().sum())
+}
+
+/// Weights of the nearest point of the triangle, roughly.
+fn normalised(w: [f32; 3]) -> [f32; 3] {
+    let w = w.map(|x| x.max(0.0));
+    let sum = w[0] + w[1] + w[2];
+    w.map(|x| x / sum)
+}
+
+/// A colour over another one, bounded; 1 where the other is black.
+fn ratio(color: Vec3, over: Vec3) -> Vec3 {
+    let one = |c: f32, o: f32| if o > 0.0 { (c / o).clamp(0.0, MAX_RATIO) } else { 1.0 };
+    Vec3::new(one(color.x, over.x), one(color.y, over.y), one(color.z, over.z))
+}
+
+/// Continues the charts over the empty texels around them, and gives the rest their mean colour.
+fn fill(pixels: &mut [u8], atlas: &Atlas) {
+    let (w, h) = (atlas.width as usize, atlas.height as usize);
+    let mut known: Vec<bool> = atlas.owner.iter().map(|o| *o != EMPTY).collect();
+    let (mut sum, mut count) = ([0u64; 3], 0u64);
+    for at in (0..known.len()).filter(|at| known[*at]) {
+        (0..3).for_each(|c| sum[c] += u64::from(pixels[3 * at + c]));
+        count += 1;
+    }
+    for _ in 0..FILL_RINGS {
+        let around = |at: usize| {
+            let (x, y) = (at % w, at / w);
+            let inside =
+                [(x > 0, at.wrapping_sub(1)), (x + 1 < w, at + 1), (y > 0, at.wrapping_sub(w)), (y + 1 < h, at + w)];
+            inside.into_iter().filter_map(|(inside, at)| inside.then_some(at))
+        };
+        let ring: Vec<(usize, [u8; 3])> = (0..known.len())
+            .into_par_iter()
+            .filter(|at| !known[*at])
+            .filter_map(|at| {
+                let (sum, n) = around(at).filter(|n| known[*n]).fold(([0u32; 3], 0), |(s, n), i| {
+                    (std::array::from_fn(|c| s[c] + u32::from(pixels[3 * i + c])), n + 1)
+                });
+                (n > 0).then(|| (at, sum.map(|s| (s / n) as u8)))
+            })
+            .collect();
+        for (at, color) in ring {
+            pixels[3 * at..3 * at + 3].copy_from_slice(&color);
+            known[at] = true;
+        }
+    }
+    let mean = sum.map(|s| (s / count.max(1)) as u8);
+    (0..known.len()).filter(|at| !known[*at]).for_each(|at| pixels[3 * at..3 * at + 3].copy_from_slice(&mean));
+}

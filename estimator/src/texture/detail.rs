@@ -1,0 +1,58 @@
+//! Reads a texture: albedo at points of the surface, and how it differs from that of the vertices.
+
+use glam::Vec3;
+use recordings::result::Texture;
+use recordings::types::{Mesh, RgbImage};
+
+/// Albedo below which the vertices say nothing of a ratio.
+const BLACK: f32 = 1e-4;
+
+/// A texture, decoded, over its mesh.
+pub struct Detail<'a> {
+    texture: &'a Texture,
+    picture: RgbImage,
+    table: [f32; 256],
+    mesh: &'a Mesh,
+    /// `[vertex]`.
+    albedo: &'a [Vec3],
+}
+
+impl<'a> Detail<'a> {
+    /// Decodes the texture of a mesh with these albedos at its vertices.
+    ///
+    /// # Errors
+    /// The picture is damaged.
+    pub fn new(texture: &'a Texture, mesh: &'a Mesh, albedo: &'a [Vec3]) -> Result<Self, String> {
+        Ok(Self { picture: texture.picture()?, table: texture.table(), texture, mesh, albedo })
+    }
+
+    /// Linear albedo at barycentric `weights` of a triangle.
+    #[must_use]
+    pub fn albedo(&self, triangle: u32, weights: [f32; 3]) -> Vec3 {
+        let chart = &self.texture.charts[self.texture.chart[triangle as usize] as usize];
+        let corners = self.mesh.triangles[triangle as usize];
+        let point = corners.iter().zip(weights).map(|(&i, w)| self.mesh.positions[i as usize] * w).sum::<Vec3>();
+        let (w, h) = (self.texture.width, self.texture.height);
+        let at = chart.texel(point).max(glam::Vec2::ZERO);
+        let (x, y) = ((at.x as u32).min(w - 1), (at.y as u32).min(h - 1));
+        let (right, below) = ((x + 1).min(w - 1), (y + 1).min(h - 1));
+        let (fx, fy) = ((at.x - x as f32).min(1.0), (at.y - y as f32).min(1.0));
+        let value = |x: u32, y: u32| {
+            let i = 3 * (y as usize * w as usize + x as usize);
+            Vec3::from_array(std::array::from_fn(|c| self.table[self.picture.data[i + c] as usize]))
+        };
+        let top = value(x, y) * (1.0 - fx) + value(right, y) * fx;
+        let bottom = value(x, below) * (1.0 - fx) + value(right, below) * fx;
+        top * (1.0 - fy) + bottom * fy
+    }
+
+    /// Albedo of the texture over that of the vertices, by channel.
+    #[must_use]
+    pub fn ratio(&self, triangle: u32, weights: [f32; 3]) -> Vec3 {
+        let corners = self.mesh.triangles[triangle as usize];
+        let smooth = corners.iter().zip(weights).map(|(&i, w)| self.albedo[i as usize] * w).sum::<Vec3>();
+        let sharp = self.albedo(triangle, weights);
+        let one = |s: f32, v: f32| if v > BLACK { s / v } else { 1.0 };
+        Vec3::new(one(sharp.x, smooth.x), one(sharp.y, smooth.y), one(sharp.z, smooth.z))
+    }
+}

@@ -1,0 +1,17 @@
+//! Albedo at the resolution of the photographs. In: mesh, keyframes with refined poses and exposures, lit colour and albedo at the
+//! vertices. Out: [`Texture`](recordings::result::Texture), an atlas of orthographic charts.
+//!
+//! The mesh is cut into [`charts`] that see little distortion, these are [`pack`]ed into an [`atlas`] page; [`views`] are sampled at
+//! every texel and blended in [`texels`]; [`albedo`] divides by the light at the vertices. [`detail`] reads a
+//! texture back, [`seams`] cuts the mesh for programs with one texture coordinate per vertex, [`sharpness`] measures
+//! what a rendering keeps of a picture.
+
+pub mod albedo;
+pub mod atlas;
+pub mod charts;
+pub mod detail;
+pub mod pack;
+pub mod seams;
+pub mod sharpness;
+pub mod texels;
+pub mod views;

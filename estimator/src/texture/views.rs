@@ -1,0 +1,105 @@
+//! Keyframes as seen from points of the surface.
+
+use crate::association::keyframe_image::{KeyframeImage, distorted};
+use crate::association::{AssociationContext, RefinedView};
+use crate::mesh::raster::{Raster, camera_positions};
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::types::{CameraModel, Keyframe, Pose};
+
+/// Pixels along each axis at which the visible surface is compared, besides the point's own.
+const AROUND_PX: [(isize, isize); 5] = [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)];
+/// Pixels along the border that are not sampled: demosaicing and undistortion reach over them.
+const CUT_PX: f64 = 4.0;
+/// Half width of the window in pixels where a texel covers many.
+const MAX_RADIUS_PX: f64 = 4.0;
+
+/// A keyframe, and the depth of what it sees.
+pub struct TextureView {
+    image: KeyframeImage,
+    lens: CameraModel,
+    camera_from_world: Pose,
+    center: Vec3,
+    /// Exposure e_j of the channels.
+    exposure: Vec3,
+    depth: Vec<f32>,
+    focal: f64,
+}
+
+/// What a keyframe shows of a point.
+#[derive(Debug, Clone, Copy)]
+pub struct ViewSample {
+    /// Linear RGB after exposure.
+    pub color: Vec3,
+    /// Larger for views from the front, from near, and far from the picture's border.
+    pub weight: f32,
+    /// Width of a pixel at the point, in the mesh's units.
+    pub footprint: f32,
+    /// A pixel is clipped: the colour is a lower bound.
+    pub clipped: bool,
+}
+
+/// The keyframes whose pictures can be decoded.
+#[must_use]
+pub fn views(context: &AssociationContext, keyframes: &[(&Keyframe, &RefinedView)]) -> Vec<TextureView> {
+    let view = |&(keyframe, view): &(&Keyframe, &RefinedView)| {
+        let image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
+        let points = camera_positions(context.mesh, &view.world_from_camera);
+        let raster = Raster::new(&points, &context.mesh.triangles, &image.camera, context.near);
+        Some(TextureView {
+            lens: keyframe.camera,
+            camera_from_world: view.world_from_camera.inverse(),
+            center: view.world_from_camera.translation.as_vec3(),
+            exposure: Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32)),
+            depth: raster.depth,
+            focal: 0.5 * (image.camera.fx.abs() + image.camera.fy.abs()),
+            image,
+        })
+    };
+    keyframes.par_iter().filter_map(view).collect()
+}
+
+impl TextureView {
+    /// What the keyframe shows of a point with this unit normal under a window of the width of a texel; `None` if the point is
+    /// hidden, outside the picture, or seen from behind.
+    #[must_use]
+    pub fn sample(&self, context: &AssociationContext, point: Vec3, normal: Vec3, texel: f32) -> Option<ViewSample> {
+        let tuning = &context.config.tuning.texture;
+        let cosine = (self.center - point).normalize_or_zero().dot(normal);
+        if cosine.is_nan() || f64::from(cosine) <= tuning.min_cosine {
+            return None;
+        }
+        let p = self.camera_from_world.transform(point.as_dvec3());
+        if p.z.is_nan() || p.z <= context.near {
+            return None;
+        }
+        let k = &self.image.camera;
+        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let border = u.min(v).min(f64::from(k.width) - 1.0 - u).min(f64::from(k.height) - 1.0 - v);
+        if border.is_nan() || border <= CUT_PX {
+            return None;
+        }
+        let footprint = p.z / self.focal;
+        let hidden = tuning.hidden_edges * f64::from(context.median_edge) + tuning.hidden_footprints * footprint;
+        let (x, y) = (u.round() as isize, v.round() as isize);
+        let seen = |(dx, dy): &(isize, isize)| {
+            let depth = self.depth[((y + dy) * k.width as isize + x + dx) as usize];
+            p.z <= f64::from(depth) + hidden
+        };
+        if !AROUND_PX.iter().all(seen) {
+            return None;
+        }
+        let radius = (f64::from(texel) / footprint).clamp(1.0, MAX_RADIUS_PX);
+        let sample = self.image.sample(&context.table, u, v, radius)?;
+        let clipped = sample.brightest >= context.clipped;
+        // Beyond the lens the undistorted picture is white.
+        if clipped && distorted(&self.lens, x as usize, y as usize).is_none() {
+            return None;
+        }
+        let inside = (border / tuning.border_px).min(1.0);
+        let near = f64::from(context.median_edge) / footprint;
+        let weight = (f64::from(cosine) * near * near * inside) as f32;
+        let color = Vec3::from_array(sample.color) * self.exposure;
+        Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
+    }
+}
