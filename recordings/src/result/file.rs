@@ -7,7 +7,7 @@ use crate::decision::{Cut, Decision, DecisionText, Warning};
 use crate::error::{Error, Result};
 use crate::local_light::LocalLight;
 use crate::result::estimate::Estimate;
-use crate::result::origin::{ORIGIN, Origin};
+use crate::result::origin::Origin;
 use crate::result::texture::Texture;
 use crate::types::Mesh;
 use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
@@ -15,7 +15,7 @@ use std::path::Path;
 
 /// Kind of file.
 pub const KIND: Tag = *b"LRES";
-pub(super) const VERSION: u32 = 1;
+const VERSION: u32 = 1;
 const HEAD: Tag = *b"HEAD";
 const LIGHT: Tag = *b"LIGH";
 const TRIANGLES: Tag = *b"TRIA";
@@ -28,6 +28,8 @@ const FINDINGS: Tag = *b"FIND";
 const LOCAL_LIGHT: Tag = *b"NEAR";
 /// Albedo at the resolution of the photographs; absent where it was not made. Programs that do not know it show the vertices.
 const TEXTURE: Tag = *b"TEXT";
+/// What the result was made from. Programs that do not know it skip it.
+const ORIGIN: Tag = *b"ORIG";
 const KNOWN: &[(Tag, u32)] = &[
     (HEAD, 1 << 26),
     (LIGHT, 1 << 24),
@@ -167,6 +169,22 @@ impl Estimate {
             file.write(TEXTURE, &[&texture.pack(&triangles).map_err(refuse)?])?;
         }
         file.finish()
+    }
+}
+
+impl Origin {
+    /// Reads it from a result file, whose every chunk is checked; `None` in a result that does not tell.
+    ///
+    /// # Errors
+    /// Unreadable, damaged, no result, or of a newer version.
+    pub fn read(path: &Path) -> Result<Option<Self>> {
+        let mut file = ChunkReader::open(path, KIND, VERSION, &[(ORIGIN, 1 << 16)])?;
+        let (mut origin, mut payload) = (None, Vec::new());
+        while file.next(&mut payload)?.is_some() {
+            let read = from_bytes::<Self>(&payload);
+            origin = Some(read.map_err(|problem| Error::invalid(path, problem, "estimate it again"))?.0);
+        }
+        Ok(origin)
     }
 }
 
