@@ -4,6 +4,7 @@
 pub mod motion;
 #[cfg(feature = "openni")]
 pub mod openni;
+pub mod pace;
 mod pairing;
 pub mod pairs;
 pub mod sensor;
