@@ -292,6 +292,9 @@ fn fuse(
         let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
         reporter.step(&Step { stage: "fusion".into(), fraction: Some(played), detail });
     }
+    if let Some(hub) = hub {
+        hub.end();
+    }
     stop.check()?;
     let extract = Instant::now();
     if let Some(board) = board {

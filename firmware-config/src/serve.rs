@@ -2,6 +2,9 @@
 
 use crate::settings::section;
 
+/// Where the appliance serves its page: in every network that it is in.
+pub const APPLIANCE_ADDRESS: &str = "0.0.0.0:8080";
+
 section! {
     /// The web page: where it is, who may open it, what it may cost. A scan does not depend on any of these.
     ServeConfig = "serve" {
@@ -25,6 +28,14 @@ section! {
         surface_blocks: u32 = 128, [8..=4096], "blocks", "";
         /// Weight from which surface counts as seen well, in frames from 1 m.
         good_weight: f64 = 12.0, [1.0..=1000.0], "frames", "";
+        /// While someone watches a scan, the light found so far is estimated every few seconds, in a process of the lowest priority.
+        light: bool = true, [()], "", "";
+        /// Time between two estimates of the light so far.
+        light_interval_s: f64 = 3.0, [0.5..=600.0], "s", "";
+        /// Largest number of vertices of such an estimate.
+        light_vertices: u32 = 6000, [200..=20000], "vertices", "";
+        /// Largest number of pictures of such an estimate.
+        light_pictures: u32 = 8, [2..=32], "pictures", "";
         /// Time that a replay with --watch waits for the first page to open.
         wait_s: f64 = 60.0, [0.0..=3600.0], "s", "";
     }

@@ -13,6 +13,7 @@ mod api;
 mod context;
 mod http;
 mod jobs;
+mod light;
 pub mod live;
 mod qr;
 mod routes;

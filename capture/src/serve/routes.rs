@@ -17,10 +17,13 @@ const PAIRING_POLICY: &str =
 const PAGES: &[(&str, &str, &str)] = &[
     ("", "text/html; charset=utf-8", include_str!("page/live.html")),
     ("scans", "text/html; charset=utf-8", include_str!("page/scans.html")),
+    ("icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
     ("style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("live.js", "text/javascript; charset=utf-8", include_str!("page/live.js")),
     ("surface.js", "text/javascript; charset=utf-8", include_str!("page/surface.js")),
     ("map.js", "text/javascript; charset=utf-8", include_str!("page/map.js")),
+    ("light.js", "text/javascript; charset=utf-8", include_str!("page/light.js")),
+    ("object.js", "text/javascript; charset=utf-8", include_str!("page/object.js")),
     ("scans.js", "text/javascript; charset=utf-8", include_str!("page/scans.js")),
     ("common.js", "text/javascript; charset=utf-8", include_str!("page/common.js")),
 ];
@@ -56,6 +59,7 @@ pub fn answer(context: &Arc<Context>, asked: Asked) -> Response {
         (Method::Get, ["api", "live.jpg"]) => live::newest(context, &request),
         (Method::Get, ["api", "kept", name]) => live::kept(context, name),
         (Method::Get, ["api", "surface"]) => live::surface(context, &request),
+        (Method::Get | Method::Head, ["api", "light"]) => live::light(context),
         (Method::Post, ["api", "scan", order]) => scan::order(context, order, &body),
         (Method::Get | Method::Head, ["api", "scans"]) => scans::list(context),
         (Method::Delete, ["api", "scans", id]) => scans::delete(context, id),

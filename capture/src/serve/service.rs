@@ -7,13 +7,15 @@ use crate::serve::access::Access;
 use crate::serve::context::Context;
 use crate::serve::http::server::Server;
 use crate::serve::jobs::Jobs;
+use crate::serve::light::worker;
 use crate::serve::live::hub::Hub;
 use crate::serve::{qr, routes};
 use crate::status::Board;
 use crate::stop::Stop;
 use firmware_config::Config;
+use rustix::net::{AddressFamily, SocketType, connect, getsockname, socket};
 use std::io::{IsTerminal, Write};
-use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -63,6 +65,9 @@ impl Service {
             reporter: shown.reporter.clone(),
             jobs: Jobs::new(shown.stop),
         });
+        if serve.light {
+            worker::start(&context.hub, shown.config, shown.stop);
+        }
         let answering = Arc::clone(&context);
         let handler = Arc::new(move |asked| routes::answer(&answering, asked));
         let server = Server::start(address, serve.max_connections as usize, handler)?;
@@ -104,10 +109,16 @@ impl Service {
 /// The address under which others reach a socket: where it listens on all of them, the one that leads to other networks.
 fn reachable(mut address: SocketAddr) -> SocketAddr {
     if address.ip().is_unspecified() {
-        // Connecting a datagram socket sends nothing; it only finds the way. 192.0.2.1 is reserved for documentation.
-        let own =
-            UdpSocket::bind(("0.0.0.0", 0)).and_then(|s| s.connect(("192.0.2.1", 9)).and_then(|()| s.local_addr()));
-        address.set_ip(own.map_or(IpAddr::from([127, 0, 0, 1]), |a| a.ip()));
+        address.set_ip(own_address().unwrap_or(IpAddr::from([127, 0, 0, 1])));
     }
     address
+}
+
+/// The address of this machine on the way to other networks. Connecting a datagram socket sends nothing, it only finds the
+/// way; 192.0.2.1 is reserved for documentation.
+fn own_address() -> Option<IpAddr> {
+    let probe = socket(AddressFamily::INET, SocketType::DGRAM, None).ok()?;
+    connect(&probe, &SocketAddr::from(([192, 0, 2, 1], 9))).ok()?;
+    let own: SocketAddr = getsockname(&probe).ok()?.try_into().ok()?;
+    Some(own.ip())
 }

@@ -77,3 +77,11 @@ pub fn surface(context: &Context, request: &Request) -> Response {
     let changes = context.hub.surface_since(number(request, "generation"), number(request, "since"));
     Response::new(200, "application/octet-stream", Body::Bytes(changes))
 }
+
+/// `GET /api/light`: the light found so far.
+pub fn light(context: &Context) -> Response {
+    match context.hub.light() {
+        Some(light) => Response::json(&light),
+        None => Response::error(404, "the light is not known yet; watch a scan for a few seconds"),
+    }
+}

@@ -25,7 +25,8 @@ pub struct Asked {
     pub peer: IpAddr,
 }
 
-/// Serves a connection until it ends. `idle` is told when the connection waits for a request and when it no longer does.
+/// Serves a connection until it ends. `idle` is told when the connection waits for a request or its body, and when it no longer
+/// does.
 ///
 /// # Errors
 /// The client is gone, or too slow.
@@ -48,8 +49,8 @@ pub fn serve(
             }
             None => return Ok(()),
         };
-        idle(false);
         let body = read_body(&mut stream, &mut received, request.body_bytes)?;
+        idle(false);
         let (keep_alive, head_only) = (request.keep_alive, request.method == Method::Head);
         let response = answer(Asked { request, body, peer });
         if !response.write(&mut stream, head_only, keep_alive)? {

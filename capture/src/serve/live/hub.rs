@@ -1,10 +1,11 @@
 //! Where the pipeline leaves what clients may see. It never waits for them, and fusion never depends on them.
 
+use crate::serve::light::so_far::LightSoFar;
 use crate::serve::live::advice::{Observed, advice, least};
 use crate::serve::live::pictures::{Picture, Pictures};
 use crate::serve::live::surface::Surface;
 use firmware_config::ServeConfig;
-use fusion::{FrameReport, Fusion, Margin, SurfaceReader, Tracking};
+use fusion::{FrameReport, Fusion, Margin, SurfaceReader, Surfel, Tracking};
 use glam::DVec3;
 use recordings::types::{CameraModel, Pose, RgbdFrame, Sensor, TimestampNs};
 use serde::Serialize;
@@ -46,6 +47,8 @@ pub struct Live {
     pub losses: u64,
     /// Weight from which surface counts as seen well, in frames from 1 m.
     pub good_weight: f64,
+    /// Number of the newest estimate of the light (`/api/light`); 0 before the first.
+    pub light: u64,
 }
 
 /// Parts of the margin, 0 to 1.
@@ -78,6 +81,27 @@ struct State {
     first: Option<TimestampNs>,
     last: Option<(TimestampNs, Pose)>,
     pictured: Option<Instant>,
+    /// The sensor, while a scan is in progress.
+    sensor: Option<Sensor>,
+    light: Option<LightSoFar>,
+    /// Counts scans.
+    scan: u64,
+}
+
+/// What has been seen so far.
+pub struct Seen {
+    /// Counts scans.
+    pub scan: u64,
+    /// Time of the scan, seconds.
+    pub seconds: f64,
+    /// The sensor.
+    pub sensor: Sensor,
+    /// The surface.
+    pub blocks: Vec<([i32; 3], Vec<Surfel>)>,
+    /// Edge length of a voxel, metres.
+    pub voxel_m: f32,
+    /// Pictures of kept frames.
+    pub pictures: Vec<Arc<Picture>>,
 }
 
 /// What clients see of the scan in progress.
@@ -131,7 +155,46 @@ impl Hub {
             ..Live::default()
         };
         // Pictures are numbered on, so that a client that waits for the next one gets it.
-        *state = State { live, number: state.number, ..State::default() };
+        let (number, scan, sensor) = (state.number, state.scan + 1, Some(sensor.clone()));
+        *state = State { live, number, scan, sensor, ..State::default() };
+    }
+
+    /// The last frame was fused.
+    pub fn end(&self) {
+        lock(&self.state).sensor = None;
+    }
+
+    /// True from the first frame to the last.
+    #[must_use]
+    pub fn is_scanning(&self) -> bool {
+        lock(&self.state).sensor.is_some()
+    }
+
+    /// What has been seen so far, with at most so many pictures; `None` between scans.
+    #[must_use]
+    pub fn seen(&self, pictures: usize) -> Option<Seen> {
+        let (scan, sensor, seconds) = {
+            let state = lock(&self.state);
+            let seconds = state.last.as_ref().zip(state.first).map_or(0.0, |((t, _), first)| (t - first) as f64 * 1e-9);
+            (state.scan, state.sensor.clone()?, seconds)
+        };
+        let (blocks, voxel_m) = lock(&self.surface).blocks();
+        Some(Seen { scan, seconds, sensor, blocks, voxel_m, pictures: self.pictures.spread(pictures) })
+    }
+
+    /// Shows the light that was found in the scan of this count; `new` gets the number of the estimate.
+    pub fn set_light(&self, new: impl FnOnce(u64) -> LightSoFar, scan: u64) {
+        let mut state = lock(&self.state);
+        if state.scan == scan {
+            state.live.light += 1;
+            state.light = Some(new(state.live.light));
+        }
+    }
+
+    /// The light found so far.
+    #[must_use]
+    pub fn light(&self) -> Option<LightSoFar> {
+        lock(&self.state).light.clone()
     }
 
     /// A frame was fused.

@@ -92,6 +92,15 @@ impl Pictures {
         self.lock().kept.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).cloned()
     }
 
+    /// At most `most` pictures of kept frames, spread over the scan, the newest among them.
+    #[must_use]
+    pub fn spread(&self, most: usize) -> Vec<Arc<Picture>> {
+        let coded = self.lock();
+        let (n, most) = (coded.kept.len(), most.max(1));
+        let wanted = (1..=most.min(n)).map(|i| i * n / most.min(n) - 1);
+        wanted.filter_map(|i| coded.kept.get(i).cloned()).collect()
+    }
+
     /// The picture of a kept frame by its number.
     #[must_use]
     pub fn kept(&self, number: u64) -> Option<Arc<Picture>> {
@@ -177,6 +186,8 @@ mod tests {
         assert_eq!(pictures.nearest(&at(1.9)).unwrap().number, 1);
         assert_eq!(pictures.nearest(&at(9.0)).unwrap().number, 3);
         assert!(pictures.kept(2).is_none() && pictures.kept(3).is_some());
+        assert_eq!(pictures.spread(9).iter().map(|p| p.number).collect::<Vec<_>>(), [1, 3]);
+        assert_eq!(pictures.spread(1)[0].number, 3);
         pictures.clear();
         assert!(pictures.newer(0, Duration::ZERO).is_none() && pictures.nearest(&at(0.0)).is_none());
     }

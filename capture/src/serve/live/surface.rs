@@ -61,6 +61,13 @@ impl Surface {
         }
     }
 
+    /// The blocks with surface, and the edge length of a voxel in metres.
+    #[must_use]
+    pub fn blocks(&self) -> (Vec<([i32; 3], Vec<Surfel>)>, f32) {
+        let all = self.blocks.iter().filter(|(_, b)| !b.surfels.is_empty());
+        (all.map(|(c, b)| (*c, b.surfels.to_vec())).collect(), self.voxel_m)
+    }
+
     /// The blocks that changed after `since`, oldest change first. Little endian: `LSRF`, generation u32, number of the last
     /// change that is included u64, voxel size f32 (metres), number of blocks u32; then for each block its coordinates
     /// 3 × i32, number of surfels u32, and 8 bytes a surfel ([`Surfel`]). A generation other than the client's own makes
