@@ -1,4 +1,4 @@
-// Drives a scan from the page in headless Chromium: node live.cjs URL FOLDER [pictures]
+// Drives a scan from the page in headless Chromium: node live.cjs URL FOLDER
 // Pairs, starts, watches a loss and the way back, the light so far, pauses, stops, opens the result. On a phone in portrait, with
 // a third of the processor. Prints what it measured as JSON; exit code 1 and the reasons if the page misbehaves. Needs
 // playwright-core and, for the checks of accessibility, axe-core (NODE_PATH). Screenshots go to FOLDER.
@@ -48,9 +48,9 @@ async function accessible(tab, name) {
   const first = Number(await tab.evaluate(() => document.documentElement.dataset.surfels));
   await until("the surface grows", (first) => Number(document.documentElement.dataset.surfels) > Math.max(500, 1.5 * first), first);
   await shot("scanning");
-  await state("lost");
-  await until("the picture to go back to", () => !document.getElementById("back").hidden && document.getElementById("back").naturalWidth > 0);
-  check((await tab.textContent("#advice")).includes("turn back"), "advice when lost");
+  await until("a loss, with the picture to go back to and what to do", () => document.getElementById("state").textContent === "lost"
+    && !document.getElementById("back").hidden && document.getElementById("back").naturalWidth > 0
+    && document.getElementById("advice").textContent.includes("turn back"));
   await shot("lost");
   await state("scanning");
   await until("the light so far", () => !document.getElementById("light").hidden);

@@ -23,7 +23,7 @@ fn number<T: std::str::FromStr + Default>(request: &Request, name: &str) -> T {
 pub fn newest(context: &Context, request: &Request) -> Response {
     match context.hub.newer_picture(number(request, "after"), WAIT) {
         Some(picture) => described(&picture),
-        None => Response::error(503, "no new picture yet; ask again").with("Retry-After", "1"),
+        None => Response::empty(),
     }
 }
 

@@ -61,6 +61,12 @@ impl Response {
         Self::text(status, "application/json", serde_json::json!({ "error": problem }).to_string())
     }
 
+    /// Nothing to tell.
+    #[must_use]
+    pub fn empty() -> Self {
+        Self { status: 204, headers: Vec::new(), body: Body::Bytes(Vec::new()) }
+    }
+
     /// Another address to go to.
     #[must_use]
     pub fn redirect(to: &str) -> Self {
@@ -110,7 +116,7 @@ impl Response {
         for (name, value) in &self.headers {
             head += &format!("{name}: {value}\r\n");
         }
-        if let Some(length) = length {
+        if let Some(length) = length.filter(|_| self.status != 204) {
             head += &format!("Content-Length: {length}\r\n");
         }
         head += if keep_alive { "Connection: keep-alive\r\n\r\n" } else { "Connection: close\r\n\r\n" };
@@ -151,7 +157,7 @@ fn copy(mut reader: Box<dyn Read + Send>, n: u64, stream: &mut TcpStream) -> std
 fn reason(status: u16) -> &'static str {
     match status {
         200 => "OK",
-        202 => "Accepted",
+        204 => "No Content",
         206 => "Partial Content",
         303 => "See Other",
         400 => "Bad Request",

@@ -1,6 +1,7 @@
 //! A mesh of few vertices from surfels: the quads of naive surface nets (Gibson 1998), with vertices clustered in larger cells
 //! (Rossignac, Borrel 1993) until they are few enough.
 
+use crate::serve::live::surface::Blocks;
 use fusion::{CELLS, Surfel};
 use glam::{IVec3, Vec3};
 use recordings::types::Mesh;
@@ -8,9 +9,6 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 /// Cells of the largest cluster, along its edge.
 const LARGEST: i32 = 64;
-
-/// Blocks with their surfels.
-pub type Blocks = Vec<([i32; 3], Vec<Surfel>)>;
 
 /// The mesh of at most `most` vertices.
 #[must_use]

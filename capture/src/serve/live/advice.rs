@@ -36,7 +36,7 @@ pub fn least(m: &Margin) -> f32 {
 #[must_use]
 pub fn advice(o: &Observed) -> Option<&'static str> {
     if !o.tracked {
-        return Some("Lost: turn back to where this picture was taken");
+        return Some("Lost: turn back to this view");
     }
     let m = o.margin?;
     let smallest = least(&m);

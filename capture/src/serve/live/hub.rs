@@ -3,9 +3,9 @@
 use crate::serve::light::so_far::LightSoFar;
 use crate::serve::live::advice::{Observed, advice, least};
 use crate::serve::live::pictures::{Picture, Pictures};
-use crate::serve::live::surface::Surface;
+use crate::serve::live::surface::{Blocks, Surface};
 use firmware_config::ServeConfig;
-use fusion::{FrameReport, Fusion, Margin, SurfaceReader, Surfel, Tracking};
+use fusion::{FrameReport, Fusion, Margin, SurfaceReader, Tracking};
 use glam::DVec3;
 use recordings::types::{CameraModel, Pose, RgbdFrame, Sensor, TimestampNs};
 use serde::Serialize;
@@ -97,7 +97,7 @@ pub struct Seen {
     /// The sensor.
     pub sensor: Sensor,
     /// The surface.
-    pub blocks: Vec<([i32; 3], Vec<Surfel>)>,
+    pub blocks: Blocks,
     /// Edge length of a voxel, metres.
     pub voxel_m: f32,
     /// Pictures of kept frames.

@@ -11,6 +11,9 @@ const MOST_BLOCKS: usize = 1 << 17;
 const MOVED: u8 = 8;
 const GAINED: u8 = 12;
 
+/// Blocks by their coordinates, with their surfels.
+pub type Blocks = Vec<([i32; 3], Vec<Surfel>)>;
+
 struct Block {
     changed: u64,
     surfels: Box<[Surfel]>,
@@ -63,7 +66,7 @@ impl Surface {
 
     /// The blocks with surface, and the edge length of a voxel in metres.
     #[must_use]
-    pub fn blocks(&self) -> (Vec<([i32; 3], Vec<Surfel>)>, f32) {
+    pub fn blocks(&self) -> (Blocks, f32) {
         let all = self.blocks.iter().filter(|(_, b)| !b.surfels.is_empty());
         (all.map(|(c, b)| (*c, b.surfels.to_vec())).collect(), self.voxel_m)
     }

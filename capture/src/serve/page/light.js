@@ -13,15 +13,18 @@ const DIFFUSE = [1, 2 / 3, 2 / 3, 2 / 3, 1 / 4, 1 / 4, 1 / 4, 1 / 4, 1 / 4];
 
 function sum(coefficients, basis, weights) {
   const out = [0, 0, 0];
-  const n = Math.min(coefficients.length, basis.length, weights?.length ?? Infinity);
+  const n = Math.min(coefficients.length, basis.length, weights.length);
   for (let k = 0; k < n; k++) {
-    const b = basis[k] * (weights ? weights[k] : 1);
+    const b = basis[k] * weights[k];
     for (let c = 0; c < 3; c++) out[c] += b * coefficients[k][c];
   }
   return out;
 }
 
-export const radiance = (light, direction) => sum(light.coefficients, harmonics(direction), null).map((v) => Math.max(0, v));
+// A Hann window over the bands: so few of them ring around bright light.
+const WINDOW = [0, 1, 1, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3].map((l) => (1 + Math.cos(Math.PI * l / 4)) / 2);
+
+export const radiance = (light, direction) => sum(light.coefficients, harmonics(direction), WINDOW).map((v) => Math.max(0, v));
 const diffuse = (light, normal) => sum(light.coefficients, harmonics(normal), DIFFUSE).map((v) => Math.max(0, v));
 const encode = (v) => 255 * Math.min(1, v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055);
 

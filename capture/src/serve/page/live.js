@@ -54,7 +54,7 @@ function show() {
 function figures() {
   const { live, scan: s, drops } = status, [used, total] = live.blocks;
   const rows = [
-    ["time", s ? `${time(s.seconds)} of ${time(status.max_scan_s)}` : "–"],
+    ["time", s ? `${time(s.seconds)} / ${time(status.max_scan_s)}` : "–"],
     ["frames/s", s ? s.fps.toFixed(1) : "–"],
     ["surface", s ? `${s.coverage_m2.toFixed(2)} m²` : "–"],
     ["keyframes", s ? s.kept_frames : "–"],
@@ -115,7 +115,7 @@ async function pictures() {
   for (let last = 0; ;) {
     try {
       const answer = await fetch(`/api/live.jpg?after=${last}`);
-      if (!answer.ok) { await pause(300); continue; }
+      if (answer.status !== 200) { await pause(answer.ok ? 0 : 300); continue; }
       const number = Number(answer.headers.get("X-Number")), pose = answer.headers.get("X-Pose");
       // Numbers start anew when the box does.
       last = number;
