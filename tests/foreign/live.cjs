@@ -9,7 +9,7 @@ const [url, folder] = process.argv.slice(2);
 const problems = [], told = {};
 const check = (holds, what) => { if (!holds) problems.push(what); };
 const software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"];
-const PATIENCE = 120000;
+const PATIENCE = 300000;
 
 let axe = null;
 try { axe = require.resolve("axe-core/axe.min.js"); } catch { console.error("skipped: axe-core is not found, accessibility is not checked"); }
