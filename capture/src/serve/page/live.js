@@ -72,7 +72,9 @@ function figures() {
 function way_back(number) {
   const image = $("back");
   image.hidden = number == null;
-  if (number != null && kept !== number) image.src = `/api/kept/${kept = number}.jpg`;
+  if (number == null || kept === number) return;
+  image.onload = () => { document.documentElement.dataset.wayBack = number; };
+  image.src = `/api/kept/${kept = number}.jpg`;
 }
 
 function alarm() {
