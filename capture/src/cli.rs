@@ -6,6 +6,7 @@ mod settings;
 use crate::orders::Request;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use estimator::Reference;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 
 pub use render::{RemovalTarget, Render};
@@ -144,6 +145,7 @@ folder appears when it is complete; its path is the last line on stdout.
 Examples:
   lumiscan replay recordings/data/tabletop.lrec
   lumiscan replay ~/rgbd_dataset_freiburg1_xyz --device /var/lib/lumiscan --budget 60
+  lumiscan replay recordings/data/tabletop.lrec --watch         in a browser; prints the address
   lumiscan replay scan.lrec --no-estimate --set fusion.voxel_size_m=0.01")]
 pub struct Replay {
     /// A recording (.lrec) or a TUM RGB-D folder.
@@ -157,6 +159,13 @@ pub struct Replay {
     /// Limits of the estimator.
     #[command(flatten)]
     pub effort: Effort,
+    /// Show the scan in a browser while it is played at its own speed [address without a value: this machine, any free port].
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, require_equals = true, default_missing_value = "127.0.0.1:0",
+          value_parser = address)]
+    pub watch: Option<SocketAddr>,
+    /// With --watch: go on serving when the scan is published, until Ctrl-C.
+    #[arg(long, requires = "watch")]
+    pub keep: bool,
     /// Play the source N times, alternately forward and backward, with continuous time stamps.
     #[arg(long = "loop", value_name = "N", default_value = "1", value_parser = clap::value_parser!(u32).range(1..))]
     pub loops: u32,
@@ -334,6 +343,7 @@ Signals: SIGUSR1 starts a scan, SIGUSR2 ends it; SIGTERM ends the daemon, which 
 
 Examples:
   lumiscan capture --device /var/lib/lumiscan --auto
+  lumiscan capture --serve 0.0.0.0:8080               with the web page; prints its address
   lumiscan capture --simulate desk.lrec               with a simulated Kinect; then: lumiscan scan start")]
 pub struct Capture {
     /// Device folder, created if missing.
@@ -354,6 +364,9 @@ pub struct Capture {
     /// Worker threads [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Serve the web page [address without a value: serve.address, or else every network, port 8080].
+    #[arg(long, value_name = "ADDR:PORT", num_args = 0..=1, value_parser = address)]
+    pub serve: Option<Option<SocketAddr>>,
     /// Use a simulated Kinect: `pattern` or a recording, then `,fault=value` (see capture/README.md).
     #[arg(long, value_name = "PLAN")]
     pub simulate: Option<String>,
@@ -446,6 +459,12 @@ pub struct Record {
     /// Settings.
     #[command(flatten)]
     pub settings: Settings,
+}
+
+/// An address with a port, `0.0.0.0:8080` or `localhost:0`.
+pub fn address(text: &str) -> Result<SocketAddr, String> {
+    let found = text.to_socket_addrs().ok().and_then(|mut all| all.next());
+    found.ok_or_else(|| "an address with a port, such as 0.0.0.0:8080".into())
 }
 
 /// A positive, finite number of seconds.

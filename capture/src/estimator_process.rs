@@ -83,6 +83,10 @@ const POLL: Duration = Duration::from_millis(20);
 const KEPT_LINES: usize = 4;
 /// The child is killed after this many budgets plus [`KILL_AFTER`].
 const KILL_AFTER_BUDGETS: f64 = 4.0;
+/// Niceness of what must never take time from the scan.
+pub const IDLE: i32 = 19;
+/// A coarse estimate is killed after this time.
+const COARSE_LIMIT: Duration = Duration::from_secs(60);
 /// See [`KILL_AFTER_BUDGETS`].
 const KILL_AFTER: Duration = Duration::from_secs(60);
 
@@ -153,6 +157,32 @@ pub fn estimate(
         let waited = Waited { is_out_of_memory, ..waited? };
         Ok(ended(&waited, &answer, &last_lines, effort.memory, &files.result))
     })
+}
+
+/// Estimates a small scan at the lowest priority, with one thread and one round of rays; returns its processor time in
+/// seconds.
+///
+/// # Errors
+/// The child could not be started or ended without a result, or a signal came.
+pub fn estimate_coarsely(scan: &Path, result: &Path, memory_mb: u32, stop: &Stop) -> Result<f64, Failure> {
+    let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
+    let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
+    command.args(["--json", "estimate"]).arg(scan).arg("-o").arg(result).args(["--rounds", "1", "--threads", "1"]);
+    command.arg("--parent").arg(std::process::id().to_string());
+    command.arg("--memory").arg(memory_mb.to_string()).env("RUST_BACKTRACE", "0");
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().map_err(cannot)?;
+    let pid = rustix::process::Pid::from_child(&child);
+    if let Err(e) = rustix::process::setpriority_process(Some(pid), IDLE) {
+        tracing::debug!("priority of the estimator: {e}");
+    }
+    // Its answer is far smaller than a pipe holds.
+    let waited = wait(&mut child, stop, Some(COARSE_LIMIT))?;
+    let mut answer = String::new();
+    child.stdout.take().map(|mut out| out.read_to_string(&mut answer));
+    let answer = serde_json::from_str::<Outcome>(&answer).ok().map(|o| o.estimator);
+    let ended = || Failure::Internal(format!("the estimator ended without a result ({})", waited.status));
+    answer.filter(EstimatorEntry::has_result).and_then(|e| e.cpu_seconds).ok_or_else(ended)
 }
 
 /// How the child ended, from its status, its answer and its last log lines.

@@ -13,6 +13,7 @@ mod orders;
 mod pipeline;
 mod publish;
 mod report;
+mod serve;
 mod simulator;
 mod sources;
 mod status;

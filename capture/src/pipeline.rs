@@ -8,7 +8,10 @@
 //! a live sensor, the oldest pair that waits for `decode` is dropped and counted.
 
 use crate::failure::Failure;
+use crate::orders::Orders;
 use crate::report::{Reporter, Step};
+use crate::serve::live::hub::Hub;
+use crate::sources::pace::Pace;
 use crate::sources::pairs::{Pairs, RawPair};
 use crate::status::{Board, State};
 use crate::stop::Stop;
@@ -73,8 +76,14 @@ pub struct Job<'a> {
     pub scan: &'a Path,
     /// Settings.
     pub config: &'a Config,
-    /// Receives the figures of a live scan.
+    /// Receives the figures of a scan.
     pub board: Option<&'a Board>,
+    /// The user's requests; without them, nobody can pause or name the scan.
+    pub orders: Option<&'a Orders>,
+    /// Shows the scan to whoever watches.
+    pub hub: Option<&'a Hub>,
+    /// The source is played at its own speed.
+    pub paced: bool,
 }
 
 /// Fuses `pairs` into a scan file.
@@ -82,11 +91,14 @@ pub struct Job<'a> {
 /// # Errors
 /// The source is damaged, the disk full, tracking never held, or a signal came.
 pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Result<Captured, Failure> {
-    let Job { name, source: source_path, scan: scan_path, config, board } = *job;
+    let Job { name, source: source_path, scan: scan_path, config, board, orders, hub, paced } = *job;
     let sensor = pairs.sensor(&config.capture);
     let bad_input =
         |e: FusionError| Failure::Input(format!("{}: {e}; record or import it again", source_path.display()));
     let fusion = Fusion::new(&sensor, &config.fusion_of(&sensor.serial)).map_err(bad_input)?;
+    if let Some(hub) = hub {
+        hub.begin(&sensor, config.fusion.pool_blocks);
+    }
     let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
 
     let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);
@@ -96,13 +108,14 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
     std::thread::scope(|scope| {
         // A live sensor drops the oldest waiting pair; any other source waits.
         let drop_oldest = pairs.drops_when_slow().then(|| DropOldest { oldest: raw_in.clone(), over: &over });
-        let reader = start(scope, "read", move || read(pairs, &raw_out, drop_oldest, board));
+        let pace = orders.filter(|_| paced).map(|orders| Pace::new(orders, stop));
+        let reader = start(scope, "read", move || read(pairs, &raw_out, drop_oldest, board, pace));
         let path: PathBuf = source_path.into();
         let decoder =
             start(scope, "decode", move || decode(&raw_in, &frame_out, &path, &config.capture.tuning.gravity));
         let disk = start(scope, "disk", move || write(writer, &disk_in));
 
-        let fused = fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board }, bad_input);
+        let fused = fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board, orders, hub }, bad_input);
         // Ends the stages before this one if this one ended first.
         over.store(true, Ordering::Relaxed);
         drop(frame_in);
@@ -110,6 +123,8 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
         let capture_stats = join(reader)?;
         join(decoder)?;
         let finished = fused.and_then(|fused| {
+            let given = orders.and_then(Orders::name);
+            let name = given.as_deref().unwrap_or(name);
             let tail = Box::new(tail(name, &sensor, config, fused.output, &capture_stats));
             let captured = Captured {
                 trajectory: fused.trajectory,
@@ -145,9 +160,13 @@ fn read(
     out: &Sender<RawPair>,
     drop_oldest: Option<DropOldest<'_>>,
     board: Option<&Board>,
+    mut pace: Option<Pace<'_>>,
 ) -> Result<CaptureStats, Failure> {
     let mut dropped_pairs = 0;
     while let Some(pair) = pairs.next_pair()? {
+        if pace.as_mut().is_some_and(|pace| !pace.wait(pair.color.timestamp_ns)) {
+            break;
+        }
         let sent = match &drop_oldest {
             Some(drop_oldest) => send_newest(pair, out, drop_oldest, &mut dropped_pairs),
             None => out.send(pair).is_ok(),
@@ -211,6 +230,8 @@ fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure>
 struct Observers<'a> {
     reporter: &'a Reporter,
     board: Option<&'a Board>,
+    orders: Option<&'a Orders>,
+    hub: Option<&'a Hub>,
 }
 
 struct Fused {
@@ -228,7 +249,7 @@ fn fuse(
     observers: Observers<'_>,
     bad_input: impl Fn(FusionError) -> Failure,
 ) -> Result<Fused, Failure> {
-    let Observers { reporter, board } = observers;
+    let Observers { reporter, board, orders, hub } = observers;
     let started = Instant::now();
     let mut spent = Duration::ZERO;
     let (mut count, mut kept, mut lost) = (0u64, 0u64, false);
@@ -238,6 +259,8 @@ fn fuse(
             // Has an effect until the first frame is tracked.
             fusion.set_gravity(up);
         }
+        let paused = orders.is_some_and(Orders::is_paused);
+        fusion.set_paused(paused);
         let push = Instant::now();
         let report = fusion.push(&frame).map_err(&bad_input)?;
         spent += push.elapsed();
@@ -255,6 +278,9 @@ fn fuse(
             let block_m = 8.0 * report.voxel_size_m;
             board.fused(!now_lost, report.keep.is_some(), report.blocks_used, block_m);
         }
+        if let Some(hub) = hub {
+            hub.observe(&fusion, &frame, &report, paused);
+        }
         if let Some(id) = report.keep {
             kept += 1;
             // Fails only if the disk thread has ended, which returns its own error.
@@ -265,6 +291,9 @@ fn fuse(
         let fps = count as f64 / started.elapsed().as_secs_f64().max(1e-9);
         let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
         reporter.step(&Step { stage: "fusion".into(), fraction: Some(played), detail });
+    }
+    if let Some(hub) = hub {
+        hub.end();
     }
     stop.check()?;
     let extract = Instant::now();
@@ -343,7 +372,6 @@ mod tests {
     use crate::kinect::driver::Kinect;
     use crate::kinect::live::Live;
     use crate::memory::resident_bytes;
-    use crate::orders::Orders;
     use crate::simulator::bus::SimBus;
     use crate::simulator::plan::SimPlan;
     use crate::sources::sensor;
@@ -368,7 +396,6 @@ mod tests {
             orders: Orders::default(),
             stop: Stop::default(),
             board: Arc::clone(&board),
-            auto: false,
             config: DaemonConfig { ..config.daemon.clone() },
             device: device.path().into(),
         };
@@ -378,7 +405,7 @@ mod tests {
         let oldest = waiting.clone();
         let reader = std::thread::spawn(move || {
             let over = AtomicBool::new(false);
-            let outcome = read(pairs, &out, Some(DropOldest { oldest, over: &over }), None);
+            let outcome = read(pairs, &out, Some(DropOldest { oldest, over: &over }), None, None);
             drop(out);
             outcome
         });

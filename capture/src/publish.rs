@@ -2,7 +2,7 @@
 
 use crate::cli::Effort;
 use crate::device_folder::files::write_file;
-use crate::device_folder::manifest::{CaptureEntry, EstimatorEntry, MANIFEST, Manifest};
+use crate::device_folder::manifest::{self, CaptureEntry, EstimatorEntry, MANIFEST, Manifest};
 use crate::device_folder::naming::utc;
 use crate::device_folder::staging::Staging;
 use crate::estimator_process::{self, Files};
@@ -51,6 +51,21 @@ pub fn publish(
     write_file(&staging.folder().join(MANIFEST), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;
     Ok(Published { folder, manifest, failure })
+}
+
+/// Estimates a published scan again.
+///
+/// # Errors
+/// The disk is full or gone, a signal came, or the estimator failed; what was published stays then.
+pub fn again(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
+    let ended = estimator_process::estimate(&Files::of(folder), effort, None, stop, reporter)?;
+    match ended.failure {
+        None | Some(Failure::Abandoned(_)) => {
+            let text = manifest::updated(folder, folder, &ended.entry)?;
+            write_file(&folder.join(MANIFEST), text.as_bytes())
+        }
+        Some(failure) => Err(failure),
+    }
 }
 
 /// The capture's part of the manifest.

@@ -5,8 +5,9 @@
 use crate::memory;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::io::{IsTerminal, Write};
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tracing_subscriber::fmt::MakeWriter;
 
@@ -19,6 +20,8 @@ enum Form {
     Plain,
     /// One JSON object per line.
     Json,
+    /// Nothing is printed.
+    Silent,
 }
 
 /// A step of a stage, as `--json` prints it and the estimator's parent reads it.
@@ -34,16 +37,19 @@ pub struct Step {
     pub detail: String,
 }
 
-/// Progress of one command.
+/// Progress of one command. Clones share it.
+#[derive(Clone)]
 pub struct Reporter {
     form: Form,
     verbose: bool,
     bar: ProgressBar,
-    state: Mutex<State>,
+    state: Arc<Mutex<State>>,
+    log: Log,
 }
 
 #[derive(Default)]
 struct State {
+    step: Option<Step>,
     stage: String,
     stage_started: Option<Instant>,
     /// Seconds of every stage that has ended.
@@ -76,8 +82,9 @@ impl Reporter {
             bar.set_style(style);
         }
         let level = if verbose { tracing::Level::DEBUG } else { tracing::Level::INFO };
-        let lines =
-            tracing_subscriber::fmt().with_max_level(level).with_writer(BesideBar(bar.clone())).with_target(verbose);
+        let log = Log::default();
+        let writer = BesideBar { bar: bar.clone(), log: log.clone() };
+        let lines = tracing_subscriber::fmt().with_max_level(level).with_writer(writer).with_target(verbose);
         // Fails only where a test has set a subscriber before.
         let _ = match form {
             Form::Json => {
@@ -85,7 +92,26 @@ impl Reporter {
             }
             _ => tracing::subscriber::set_global_default(lines.with_ansi(color).without_time().finish()),
         };
-        Self { form, verbose, bar, state: Mutex::default() }
+        Self { form, verbose, bar, state: Arc::default(), log }
+    }
+
+    /// Prints nothing; for work beside that of the command.
+    #[must_use]
+    pub fn silent() -> Self {
+        let bar = ProgressBar::hidden();
+        Self { form: Form::Silent, verbose: false, bar, state: Arc::default(), log: Log::default() }
+    }
+
+    /// The last step.
+    #[must_use]
+    pub fn current(&self) -> Option<Step> {
+        self.lock().step.clone()
+    }
+
+    /// The last log lines.
+    #[must_use]
+    pub fn log(&self) -> Vec<String> {
+        self.log.lock().iter().cloned().collect()
     }
 
     /// True with `--verbose`.
@@ -102,6 +128,7 @@ impl Reporter {
     /// Shows a step.
     pub fn step(&self, step: &Step) {
         let mut state = self.lock();
+        state.step = Some(step.clone());
         let new = state.stage != step.stage;
         let left = state.deadline.map(|d| d.saturating_duration_since(Instant::now()).as_secs());
         let left = left.map_or(String::new(), |s| format!(" · {s} s left"));
@@ -148,8 +175,8 @@ impl Reporter {
         self.bar.finish_and_clear();
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -173,13 +200,40 @@ impl estimator::Progress for Reporter {
     }
 }
 
+/// The last log lines.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<VecDeque<String>>>);
+
+/// Log lines that are kept, and bytes of the longest of them.
+const KEPT_LINES: usize = 300;
+const LINE_BYTES: usize = 1000;
+
+impl Log {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<String>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn add(&self, bytes: &[u8]) {
+        let mut lines = self.lock();
+        if lines.len() == KEPT_LINES {
+            lines.pop_front();
+        }
+        let text = String::from_utf8_lossy(&bytes[..bytes.len().min(LINE_BYTES)]);
+        lines.push_back(text.trim_end().to_owned());
+    }
+}
+
 /// Writes log lines above the progress bar.
 #[derive(Clone)]
-struct BesideBar(ProgressBar);
+struct BesideBar {
+    bar: ProgressBar,
+    log: Log,
+}
 
 impl Write for BesideBar {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.0.suspend(|| std::io::stderr().write(bytes))
+        self.log.add(bytes);
+        self.bar.suspend(|| std::io::stderr().write(bytes))
     }
     fn flush(&mut self) -> std::io::Result<()> {
         std::io::stderr().flush()

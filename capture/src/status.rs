@@ -22,6 +22,16 @@ pub enum State {
     Finishing,
     /// Light and materials are estimated.
     Estimating,
+    /// A watched replay is over.
+    Done,
+}
+
+impl State {
+    /// True while a scan is made.
+    #[must_use]
+    pub fn is_working(self) -> bool {
+        matches!(self, Self::Scanning | Self::Finishing | Self::Estimating)
+    }
 }
 
 impl Display for State {
@@ -32,6 +42,7 @@ impl Display for State {
             Self::Scanning => "scanning",
             Self::Finishing => "finishing",
             Self::Estimating => "estimating",
+            Self::Done => "done",
         })
     }
 }
@@ -132,12 +143,12 @@ impl Board {
         change(&mut self.lock());
     }
 
-    /// Enters a state; `Waiting` and `Ready` clear the figures of the scan.
+    /// Enters a state; states in which no scan is made clear its figures.
     pub fn enter(&self, state: State) {
         tracing::debug!("state: {state}");
         let mut s = self.lock();
         s.state = state;
-        if matches!(state, State::Waiting | State::Ready) {
+        if !state.is_working() {
             s.scan = None;
         }
     }

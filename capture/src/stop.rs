@@ -44,6 +44,12 @@ impl Stop {
         }
     }
 
+    /// True once a signal came; no heartbeat.
+    #[must_use]
+    pub fn is_set(&self) -> bool {
+        self.signal.load(Ordering::Relaxed) != 0
+    }
+
     /// For work that a signal must not interrupt: shares the heartbeat, and its flag is never set.
     #[must_use]
     pub fn without_signals(&self) -> Self {

@@ -7,6 +7,7 @@ use crate::fusion::FusionConfig;
 use crate::handoff::HandoffConfig;
 use crate::kinect::{CameraConfig, KinectConfig};
 use crate::reality::RealityConfig;
+use crate::serve::ServeConfig;
 use crate::settings::{ConfigError, SettingInfo};
 use crate::tuning::DepthNoiseTuning;
 use std::collections::BTreeMap;
@@ -34,6 +35,8 @@ pub struct Config {
     pub depth_noises: BTreeMap<String, DepthNoiseTuning>,
     /// Mixed-reality rendering.
     pub reality: RealityConfig,
+    /// The web page.
+    pub serve: ServeConfig,
 }
 
 impl Config {
@@ -115,6 +118,7 @@ impl Config {
             KinectConfig::SECTION => self.kinect.set(field, value),
             CameraConfig::SECTION => self.camera.set(field, value),
             RealityConfig::SECTION => self.reality.set(field, value),
+            ServeConfig::SECTION => self.serve.set(field, value),
             _ => (self.fusion.tuning.set(section, field, value))
                 .or_else(|| self.estimator.tuning.set(section, field, value))
                 .or_else(|| self.capture.tuning.set(section, field, value))
@@ -159,21 +163,19 @@ impl Config {
             self.camera.settings(),
             self.reality.settings(),
             self.reality.tuning.settings(),
+            self.serve.settings(),
         ]
         .concat()
     }
 
-    /// The configuration as TOML that [`Config::from_toml`] reads back, as scans store it: every setting, but thresholds of single
-    /// stages only where they differ from their default, and nothing of where scans are sent.
+    /// What a scan stores, as TOML that [`Config::from_toml`] reads back: every setting, but thresholds of single stages only
+    /// where they differ from their default, and nothing of the web page and of where scans are sent.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut text = String::new();
         let mut section = "";
         let settings = self.settings();
-        let is_stored = |s: &&SettingInfo| {
-            (!s.tuning || s.value != s.default) && s.key.split('.').next() != Some(HandoffConfig::SECTION)
-        };
-        for s in settings.iter().filter(is_stored) {
+        for s in settings.iter().filter(|s| is_stored(s)) {
             let (head, field) = s.key.split_once('.').unwrap_or(("", &s.key));
             if head != section {
                 section = head;
@@ -222,6 +224,13 @@ impl Config {
             .map_or(String::new(), |(_, k)| format!(" (did you mean `{k}`?)"));
         ConfigError::UnknownKey { key: key.into(), hint }
     }
+}
+
+/// True if a scan stores the setting.
+fn is_stored(setting: &SettingInfo) -> bool {
+    let section = setting.key.split('.').next().unwrap_or_default();
+    let elsewhere = [ServeConfig::SECTION, HandoffConfig::SECTION].contains(&section);
+    !elsewhere && (!setting.tuning || setting.value != setting.default)
 }
 
 #[cfg(test)]

@@ -29,6 +29,7 @@ pub mod kinect;
 pub mod kinect_models;
 pub mod memory;
 pub mod reality;
+pub mod serve;
 mod settings;
 pub mod tuning;
 
@@ -41,4 +42,5 @@ pub use handoff::HandoffConfig;
 pub use kinect::{CameraConfig, KinectConfig};
 pub use memory::{Planned, memory_plan};
 pub use reality::RealityConfig;
+pub use serve::ServeConfig;
 pub use settings::{ConfigError, SettingInfo};

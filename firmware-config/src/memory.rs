@@ -44,6 +44,8 @@ pub fn memory_plan(config: &Config) -> Vec<Planned> {
             "kept frames' depth for keyframes and relocalisation",
             u64::from(config.fusion.max_keyframes) * 4 * 320 * 240 * 4,
         ),
+        // Blocks with surface are fewer than half of the pool; 20 surfels of 8 bytes each, kept pictures, connections.
+        plan("web page", 24 << 20),
         plan("mesh", blocks * VERTICES_A_BLOCK * BYTES_A_VERTEX),
         plan("program", PROGRAM),
     ]

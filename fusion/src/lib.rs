@@ -63,4 +63,5 @@ mod tsdf;
 
 pub use error::FusionError;
 pub use pipeline::Fusion;
-pub use report::{FrameReport, FusionOutput, Tracking};
+pub use report::{FrameReport, FusionOutput, Margin, Tracking};
+pub use tsdf::surfels::{BlockSurface, CELLS, SurfaceReader, Surfel};

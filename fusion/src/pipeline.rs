@@ -12,6 +12,7 @@ use crate::tracking::problem::AlignmentContext;
 use crate::tsdf::components::drop_small_components;
 use crate::tsdf::marching_cubes::{SurfaceThreshold, extract};
 use crate::tsdf::model::Model;
+use crate::tsdf::surfels::{BlockSurface, SurfaceReader};
 use crate::tsdf::visibility::drop_unseen;
 use firmware_config::FusionConfig;
 use glam::DVec3;
@@ -30,6 +31,7 @@ pub struct Fusion {
     up: Option<DVec3>,
     first_stamp: Option<TimestampNs>,
     stats: CaptureStats,
+    paused: bool,
 }
 
 impl Fusion {
@@ -48,6 +50,7 @@ impl Fusion {
             up: None,
             first_stamp: None,
             stats: CaptureStats::default(),
+            paused: false,
             rig,
         })
     }
@@ -58,6 +61,16 @@ impl Fusion {
         if up.is_finite() && up.length() > 1e-3 {
             self.up = Some(up);
         }
+    }
+
+    /// While paused, frames are tracked, and neither integrated nor kept.
+    pub fn set_paused(&mut self, paused: bool) {
+        self.paused = paused;
+    }
+
+    /// Appends at most `limit` blocks of surface that changed since `reader` read them. Has no effect on the scan.
+    pub fn read_surface(&self, reader: &mut SurfaceReader, limit: usize, out: &mut Vec<BlockSurface>) {
+        self.model.read_surface(reader, limit, out);
     }
 
     /// Tracks and integrates one frame.
@@ -80,12 +93,12 @@ impl Fusion {
         };
         self.accept_pose(&pose, stamp);
         // Surface: depth into the TSDF.
-        let coarsened = self.model.fuse(&self.frame, &pose, &self.rig, &self.config);
+        let coarsened = !self.paused && self.model.fuse(&self.frame, &pose, &self.rig, &self.config);
         // Prediction: the references of the next frame.
         debug_span!("predict").in_scope(|| self.poses.update_references(&self.frame, &pose, &self.rig, &self.config));
         // Eq. (1): candidate keyframes; an image with missing packets is none.
-        let complete = frame.color.missing_packets == 0;
-        let offer = || complete.then(|| self.candidates.offer(&self.frame, &pose, &self.config)).flatten();
+        let wanted = frame.color.missing_packets == 0 && !self.paused;
+        let offer = || wanted.then(|| self.candidates.offer(&self.frame, &pose, &self.config)).flatten();
         let keep = debug_span!("keyframes").in_scope(offer);
         Ok(self.report(Some(pose), keep, coarsened))
     }
@@ -167,6 +180,8 @@ impl Fusion {
         FrameReport {
             tracking: if world_from_camera.is_some() { Tracking::Tracked } else { Tracking::Lost },
             world_from_camera,
+            margin: world_from_camera.and(self.poses.margin()),
+            median_depth_m: self.frame.median_depth,
             keep,
             blocks_used: self.model.volume.used() as u64,
             voxel_size_m: f64::from(self.model.volume.voxel_m()),

@@ -12,6 +12,21 @@ pub enum Tracking {
     Lost,
 }
 
+/// How far tracking is from being lost: each part is 0 where a frame would no longer be tracked, 1 where tracking is at ease.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Margin {
+    /// Agreement of the depth with the model.
+    pub fit: f32,
+    /// Correlation of the image with its references.
+    pub likeness: f32,
+    /// Distance to the largest step between two frames.
+    pub motion: f32,
+    /// Shape, or else texture, that fixes every direction of the pose.
+    pub structure: f32,
+    /// Share of the image with depth.
+    pub depth: f32,
+}
+
 /// Result of one frame.
 #[derive(Debug, Clone)]
 pub struct FrameReport {
@@ -19,6 +34,10 @@ pub struct FrameReport {
     pub tracking: Tracking,
     /// Pose of the (undistorted) colour camera; `None` when lost.
     pub world_from_camera: Option<Pose>,
+    /// How far tracking is from being lost; `None` for the first frame, a relocalised one, and a lost one.
+    pub margin: Option<Margin>,
+    /// Median depth, metres; 0 without depth.
+    pub median_depth_m: f32,
     /// Set if the frame is a candidate keyframe or validation frame: its colour image must be stored under this id.
     pub keep: Option<FrameId>,
     /// Blocks of the pool in use.

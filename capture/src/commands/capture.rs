@@ -11,12 +11,18 @@ use crate::failure::Failure;
 use crate::memory;
 use crate::orders::Orders;
 use crate::report::Reporter;
+use crate::serve::service::{Service, Shown};
 use crate::sources::sensor;
 use crate::status::Board;
 use crate::stop::Stop;
+use firmware_config::ServeConfig;
 use std::cell::Cell;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Port of the web page where none is given.
+const DEFAULT_PORT: u16 = 8080;
 
 /// Runs the command.
 pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
@@ -33,9 +39,20 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
 
     let board = Arc::new(Board::default());
     board.set(|s| (s.auto, s.memory_plan_bytes) = (args.auto, plan));
+    orders.set_auto(args.auto);
+    let page = match page_address(args, &config.serve)? {
+        None => None,
+        Some(address) => {
+            let (config, device, browsers) = (&config, &args.device, Some(args.device.join(".browsers")));
+            let shown = Shown { config, device, board: &board, orders: &orders, stop: &stop, reporter, browsers };
+            let page = Service::start(address, shown)?;
+            page.announce()?;
+            Some(page)
+        }
+    };
     let done = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        scope.spawn(|| server.serve(&board, &orders, &done));
+        scope.spawn(|| server.serve(&board, &orders, page.as_ref(), &done));
         scope.spawn(|| status_file::publish(&board, &args.device, &stop, &done, &config.daemon.tuning.supervision));
         Notifier::from_environment().send("READY=1");
         let daemon = Daemon {
@@ -44,6 +61,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
             board: &board,
             orders: &orders,
             stop: &stop,
+            hub: page.as_ref().map(Service::hub),
             reporter,
             last_scan_failed: Cell::new(false),
         };
@@ -52,5 +70,17 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
         Notifier::from_environment().send("STOPPING=1");
         done.store(true, Ordering::Relaxed);
         outcome
+    })
+}
+
+/// Where the web page is, if there is one.
+fn page_address(args: &cli::Capture, config: &ServeConfig) -> Result<Option<SocketAddr>, Failure> {
+    let set = match config.address.as_str() {
+        "" => None,
+        text => Some(cli::address(text).map_err(|e| Failure::Usage(format!("serve.address: {e}")))?),
+    };
+    Ok(match args.serve {
+        None => set,
+        Some(given) => Some(given.or(set).unwrap_or(SocketAddr::from(([0, 0, 0, 0], DEFAULT_PORT)))),
     })
 }

@@ -20,3 +20,4 @@ mod replay;
 mod scan;
 mod settings;
 mod trade;
+mod watch;

@@ -16,6 +16,7 @@ pub fn run(args: &cli::Scan, as_json: bool) -> Result<(), Failure> {
     }
     match args.order {
         Request::Status => print_json(&reply.status),
+        Request::Pair if !as_json => print(reply.address.as_deref().unwrap_or_default()),
         _ if as_json => print_json(&reply),
         _ => print("ok"),
     }

@@ -6,6 +6,7 @@ use crate::commands::output::print;
 use crate::commands::settings::use_threads;
 use crate::device_folder::files::write_file;
 use crate::failure::Failure;
+use crate::memory::cpu_seconds;
 use crate::report::Reporter;
 use estimator::budget::Machine;
 use estimator::sweep::plot;
@@ -27,8 +28,7 @@ struct ProcessorTime;
 
 impl Machine for ProcessorTime {
     fn now(&self) -> f64 {
-        let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-        time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+        cpu_seconds()
     }
 }
 

@@ -3,7 +3,8 @@
 
 use crate::failure::Failure;
 use crate::orders::{Orders, Request};
-use crate::status::{Board, State};
+use crate::serve::service::Service;
+use crate::status::Board;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -27,18 +28,17 @@ pub struct Reply {
     /// Why it was refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
+    /// An address that pairs a browser, if asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub address: Option<String>,
     /// The contents of `status.json`, if asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub status: Option<Value>,
 }
 
 impl Reply {
-    fn done() -> Self {
-        Self { ok: true, problem: None, status: None }
-    }
-
-    fn refused(problem: String) -> Self {
-        Self { ok: false, problem: Some(problem), status: None }
+    fn new(outcome: Result<(), String>) -> Self {
+        Self { ok: outcome.is_ok(), problem: outcome.err(), address: None, status: None }
     }
 }
 
@@ -81,11 +81,11 @@ impl Server {
     }
 
     /// Answers until `done` is set; the body of a thread.
-    pub fn serve(&self, board: &Board, orders: &Orders, done: &AtomicBool) {
+    pub fn serve(&self, board: &Board, orders: &Orders, page: Option<&Service>, done: &AtomicBool) {
         while !done.load(Ordering::Relaxed) {
             match self.listener.accept() {
                 Ok((stream, _)) => {
-                    if let Err(e) = answer(stream, board, orders) {
+                    if let Err(e) = answer(stream, board, orders, page) {
                         tracing::debug!("control socket: {e}");
                     }
                 }
@@ -95,7 +95,7 @@ impl Server {
     }
 }
 
-fn answer(mut stream: UnixStream, board: &Board, orders: &Orders) -> std::io::Result<()> {
+fn answer(mut stream: UnixStream, board: &Board, orders: &Orders, page: Option<&Service>) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_read_timeout(Some(LIMIT))?;
     stream.set_write_timeout(Some(LIMIT))?;
@@ -107,28 +107,23 @@ fn answer(mut stream: UnixStream, board: &Board, orders: &Orders) -> std::io::Re
             n => length += n,
         }
     }
-    let reply = reply(String::from_utf8_lossy(&request[..length]).trim(), board, orders);
+    let reply = reply(String::from_utf8_lossy(&request[..length]).trim(), board, orders, page);
     writeln!(stream, "{}", serde_json::to_string(&reply)?)
 }
 
 /// Carries out a request, as far as the state allows it.
-fn reply(request: &str, board: &Board, orders: &Orders) -> Reply {
+fn reply(request: &str, board: &Board, orders: &Orders, page: Option<&Service>) -> Reply {
     let status = board.get();
-    let state = status.state;
-    match (Request::from_str(request, false), state) {
-        (Ok(Request::Status), _) => Reply { ok: true, problem: None, status: serde_json::to_value(status).ok() },
-        (Ok(Request::Start), State::Ready) => {
-            orders.start();
-            Reply::done()
-        }
-        (Ok(Request::Start), State::Waiting) => Reply::refused("no Kinect is plugged in; plug one in".into()),
-        (Ok(Request::Start), _) => Reply::refused(format!("the box is {state}; wait for it to be ready")),
-        (Ok(Request::Stop), State::Scanning) => {
-            orders.stop();
-            Reply::done()
-        }
-        (Ok(Request::Stop), _) => Reply::refused(format!("there is no scan to stop: the box is {state}")),
-        (Err(_), _) => Reply::refused("unknown request; send start, stop or status".into()),
+    match Request::from_str(request, false) {
+        Ok(Request::Status) => Reply { status: serde_json::to_value(status).ok(), ..Reply::new(Ok(())) },
+        Ok(Request::Start) => Reply::new(orders.start_in(status.state)),
+        Ok(Request::Stop) => Reply::new(orders.stop_in(status.state)),
+        Ok(Request::Pair) => match page.map(Service::pairing_address) {
+            Some(Ok(address)) => Reply { address: Some(address), ..Reply::new(Ok(())) },
+            Some(Err(e)) => Reply::new(Err(e.to_string())),
+            None => Reply::new(Err("there is no web page; start `lumiscan capture` with --serve".into())),
+        },
+        Err(_) => Reply::new(Err("unknown request; send start, stop, status or pair".into())),
     }
 }
 
@@ -163,6 +158,7 @@ pub fn socket_path(given: Option<&PathBuf>, device: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::status::State;
 
     #[test]
     fn orders_follow_the_state() {
@@ -171,7 +167,7 @@ mod tests {
         let (board, orders, done) = (Board::default(), Orders::default(), AtomicBool::new(false));
         let server = Server::listen(&path).unwrap();
         std::thread::scope(|scope| {
-            scope.spawn(|| server.serve(&board, &orders, &done));
+            scope.spawn(|| server.serve(&board, &orders, None, &done));
             let ok = |request| ask(&path, request).unwrap().ok;
             assert!(!ok("start") && !orders.take_start());
             board.enter(State::Ready);

@@ -15,6 +15,7 @@ use crate::orders::Orders;
 use crate::pipeline::{self, Job};
 use crate::publish::{self, Published};
 use crate::report::Reporter;
+use crate::serve::live::hub::Hub;
 use crate::sources::motion::Motion;
 use crate::sources::pairs::Pairs;
 use crate::sources::sensor;
@@ -47,6 +48,8 @@ pub struct Daemon<'a> {
     pub orders: &'a Orders,
     /// Signals of the service manager.
     pub stop: &'a Stop,
+    /// Shows the scan to whoever watches.
+    pub hub: Option<&'a Hub>,
     /// Log.
     pub reporter: &'a Reporter,
     /// The last scan ended with an error, which the LED shows until the next one begins.
@@ -62,8 +65,11 @@ impl Daemon<'_> {
         self.finish_interrupted()?;
         while self.stop.check().is_ok() && !self.has_finished() {
             let Some(kinect) = self.wait_for_kinect(bus.as_mut()) else { break };
-            let waited =
-                if self.args.auto { self.wait_for_motion(kinect) } else { self.wait_for_order(kinect, bus.as_mut()) };
+            let waited = if self.orders.is_auto() {
+                self.wait_for_motion(kinect)
+            } else {
+                self.wait_for_order(kinect, bus.as_mut())
+            };
             let Some(live) = waited else { continue };
             self.last_scan_failed.set(false);
             if let Err(e) = self.scan(live)
@@ -115,10 +121,10 @@ impl Daemon<'_> {
         None
     }
 
-    /// Waits for the order to start; `None` when the Kinect is unplugged or the daemon is to end.
+    /// Waits for the order to start; `None` when the Kinect is unplugged, motion is to start scans, or the daemon is to end.
     fn wait_for_order(&self, kinect: Kinect, bus: &mut dyn Bus) -> Option<Live> {
         let mut looked = Instant::now();
-        while self.stop.check().is_ok() {
+        while self.stop.check().is_ok() && !self.orders.is_auto() {
             if self.orders.take_start() {
                 return self.started(Live::start(kinect, &self.config.kinect));
             }
@@ -134,12 +140,13 @@ impl Daemon<'_> {
         None
     }
 
-    /// Streams until the sensor has been still and then moves; `None` when it is unplugged or the daemon is to end.
+    /// Streams until the sensor has been still and then moves; `None` when it is unplugged, motion no longer starts scans, or
+    /// the daemon is to end.
     fn wait_for_motion(&self, kinect: Kinect) -> Option<Live> {
         let mut live = self.started(Live::start(kinect, &self.config.kinect))?;
         let mut motion = Motion::new(&self.config.daemon);
         let mut armed = false;
-        while self.stop.check().is_ok() {
+        while self.stop.check().is_ok() && self.orders.is_auto() {
             let polled = live.poll(&mut |_, _| {}, &mut |event| {
                 match &event {
                     Event::Color(c) => motion.add_color(c),
@@ -179,7 +186,6 @@ impl Daemon<'_> {
                 orders: self.orders.clone(),
                 stop: self.stop.clone(),
                 board: Arc::clone(self.board),
-                auto: self.args.auto,
                 config: daemon.clone(),
                 device: device.clone(),
             },
@@ -188,19 +194,36 @@ impl Daemon<'_> {
         let source = Path::new("kinect");
         let pairs = Pairs::live(streaming, &self.config.capture);
         let scan_path = staging.folder().join("scan.lscan");
-        let job = Job { name: &name, source, scan: &scan_path, config: self.config, board: Some(self.board) };
+        let job = Job {
+            name: &name,
+            source,
+            scan: &scan_path,
+            config: self.config,
+            board: Some(self.board),
+            orders: Some(self.orders),
+            hub: self.hub,
+            paced: false,
+        };
         // A signal ends the capture; what was captured is still fused and written.
         let captured = pipeline::run(pairs, &job, &self.stop.without_signals(), self.reporter);
         let ending = ending.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(problem) = ending.and_then(|e| e.problem()) {
             self.report_problem(&problem);
         }
+        if self.orders.is_discarded() {
+            tracing::info!("{name} is discarded");
+            return Ok(());
+        }
         let captured = captured?;
+        let given = self.orders.name();
+        if let Some(given) = &given {
+            staging.set_name(&retention::with_name(&name, given));
+        }
         // From here on, everything can be repeated from the scan file.
         staging.keep();
         let text = format_trajectory(&captured.trajectory);
         write_file(&staging.folder().join("trajectory.txt"), text.as_bytes())?;
-        self.publish(staging, name, publish::capture_entry(source, captured))
+        self.publish(staging, given.unwrap_or(name), publish::capture_entry(source, captured))
     }
 
     fn publish(&self, staging: Staging, name: String, entry: CaptureEntry) -> Result<(), Failure> {

@@ -1,12 +1,15 @@
 //! `manifest.json`: the files of a published scan, how it was made, and the time that took. No other file of a scan holds clock
 //! readings.
 
+use crate::device_folder::files::write_file;
 use crate::failure::Failure;
 use recordings::crc32_of_file;
 use recordings::decision_text::Findings;
 use recordings::result::{Estimate, Origin};
 use recordings::scan::CaptureStats;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::io::Read;
 use std::path::Path;
 
 /// Name of the file.
@@ -177,4 +180,27 @@ impl Manifest {
     pub fn to_json(&self) -> Result<String, Failure> {
         serde_json::to_string_pretty(self).map(|t| t + "\n").map_err(|e| Failure::Internal(e.to_string()))
     }
+}
+
+/// Bytes of the longest manifest that is read.
+const MOST_BYTES: u64 = 4 << 20;
+
+/// The manifest of a published scan; `None` if there is none that can be read.
+#[must_use]
+pub fn read(folder: &Path) -> Option<Value> {
+    let file = std::fs::File::open(folder.join(MANIFEST)).ok()?;
+    serde_json::from_reader(file.take(MOST_BYTES)).ok()
+}
+
+/// Replaces fields of the manifest of a published scan.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn change(folder: &Path, changes: Vec<(&str, Value)>) -> Result<(), Failure> {
+    let mut manifest = read(folder).unwrap_or_else(|| Value::Object(serde_json::Map::new()));
+    for (field, value) in changes {
+        manifest[field] = value;
+    }
+    let text = serde_json::to_string_pretty(&manifest).map_err(|e| Failure::Internal(e.to_string()))?;
+    write_file(&folder.join(MANIFEST), (text + "\n").as_bytes())
 }

@@ -4,6 +4,8 @@
 use crate::device_folder::disk::has_room;
 use crate::device_folder::files::write_file;
 use crate::device_folder::handed_off;
+use crate::device_folder::manifest;
+use crate::device_folder::naming::sanitised;
 use crate::device_folder::staging::{STAGING, UNFINISHED};
 use crate::failure::Failure;
 use firmware_config::{DaemonConfig, HandoffConfig};
@@ -28,12 +30,22 @@ pub fn next_name(device: &Path) -> Result<String, Failure> {
         [device.join("scans"), device.join(ASIDE)].iter().flat_map(|d| names(d)).filter_map(|n| number(&n)).max();
     let next = stored.max(used.unwrap_or(0)).saturating_add(1);
     write_file(&path, format!("{next}\n").as_bytes())?;
-    Ok(format!("{NAME}-{next:04}"))
+    Ok(numbered(next))
 }
 
-/// The number in `20261121T110534Z-scan-0042` or, published a second time, `…-scan-0042-2`.
+fn numbered(number: u64) -> String {
+    format!("{NAME}-{number:04}")
+}
+
+/// The name in the folder of a scan of the daemon that the user has named, `scan-0042-kitchen`.
+#[must_use]
+pub fn with_name(numbered: &str, name: &str) -> String {
+    format!("{numbered}-{}", sanitised(name))
+}
+
+/// The number in `20261121T110534Z-scan-0042` or, published a second time or with a name, `…-scan-0042-2`.
 fn number(folder: &str) -> Option<u64> {
-    let (_, rest) = folder.rsplit_once(&format!("-{NAME}-"))?;
+    let (_, rest) = folder.split_once(&format!("-{NAME}-"))?;
     rest.split('-').next()?.parse().ok()
 }
 
@@ -133,8 +145,38 @@ fn size(folder: &Path) -> u64 {
     entries.filter_map(|e| e.metadata().ok()).filter(std::fs::Metadata::is_file).map(|m| m.len()).sum()
 }
 
+/// The ids of the published scans, oldest first.
+#[must_use]
+pub fn published(device: &Path) -> Vec<String> {
+    let all = by_age(&device.join("scans"));
+    let ids = all.iter().filter_map(|f| f.file_name()?.to_str());
+    ids.filter(|id| !id.starts_with('.')).map(Into::into).collect()
+}
+
+/// Gives a published scan another name, and returns its new id. Its time and its number stay.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn rename(folder: &Path, name: &str) -> Result<String, Failure> {
+    let old = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let time = old.split('-').next().unwrap_or_default();
+    let named = number(&old).map_or_else(|| sanitised(name), |n| with_name(&numbered(n), name));
+    for attempt in 1u32..1000 {
+        let suffix = if attempt == 1 { String::new() } else { format!("-{attempt}") };
+        let id = format!("{time}-{named}{suffix}");
+        let target = folder.with_file_name(&id);
+        if id != old && target.exists() {
+            continue;
+        }
+        std::fs::rename(folder, &target).map_err(|e| Failure::writing(&target, e))?;
+        manifest::change(&target, vec![("name", name.into())])?;
+        return Ok(id);
+    }
+    Err(Failure::Internal(format!("{}: no free name for {name}", folder.display())))
+}
+
 /// Removes a folder. It is renamed first, so that readers see all of it or nothing.
-fn remove(folder: &Path) {
+pub fn remove(folder: &Path) {
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let doomed = folder.with_file_name(format!("{STAGING}0-{name}"));
     if let Err(e) = std::fs::rename(folder, &doomed).and_then(|()| std::fs::remove_dir_all(&doomed)) {
@@ -157,9 +199,9 @@ mod tests {
         let device = tempfile::tempdir().unwrap();
         assert_eq!(next_name(device.path()).unwrap(), "scan-0001");
         assert_eq!(next_name(device.path()).unwrap(), "scan-0002");
-        // The counter is lost, the scans are not.
+        // The counter is lost, the scans are not. A user's name may look like one of ours.
         std::fs::remove_file(device.path().join(COUNTER)).unwrap();
-        scan(device.path(), "19700101T000012Z-scan-0007-2", 1);
+        scan(device.path(), "19700101T000012Z-scan-0007-my-scan-9", 1);
         assert_eq!(next_name(device.path()).unwrap(), "scan-0008");
         std::fs::write(device.path().join(COUNTER), "nonsense").unwrap();
         assert_eq!(next_name(device.path()).unwrap(), "scan-0008");
@@ -184,6 +226,22 @@ mod tests {
             left,
             [".capture-20000101T000000Z-scan-0001", "19700101T000000Z-scan-0003", "19700101T000000Z-scan-0010"]
         );
+    }
+
+    #[test]
+    fn a_scan_keeps_its_number_under_another_name() {
+        let device = tempfile::tempdir().unwrap();
+        for (old, new) in [
+            ("20000101T000000Z-scan-0001", "20000101T000000Z-scan-0001-my_desk"),
+            ("20000101T000000Z-scan-0001-x-2", "20000101T000000Z-scan-0001-my_desk-2"),
+            ("20000101T000001Z-tabletop", "20000101T000001Z-my_desk"),
+        ] {
+            scan(device.path(), old, 1);
+            assert_eq!(rename(&device.path().join("scans").join(old), "my desk").unwrap(), new);
+            assert_eq!(manifest::read(&device.path().join("scans").join(new)).unwrap()["name"], "my desk");
+        }
+        assert_eq!(published(device.path()).len(), 3);
+        assert_eq!(next_name(device.path()).unwrap(), "scan-0002");
     }
 
     #[test]

@@ -61,6 +61,12 @@ impl Staging {
         Ok(Self { scans: scans.into(), folder: folder.into(), id: id.into(), published: false, keep: true })
     }
 
+    /// Publishes under another name.
+    pub fn set_name(&mut self, name: &str) {
+        let time = self.id.split('-').next().unwrap_or_default();
+        self.id = format!("{time}-{}", sanitised(name));
+    }
+
     /// Keeps the folder from now on, even if it is not published.
     pub fn keep(&mut self) {
         self.keep = true;

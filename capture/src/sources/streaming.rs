@@ -63,8 +63,6 @@ pub struct Conditions {
     pub stop: Stop,
     /// Receives the driver's figures.
     pub board: Arc<Board>,
-    /// True if stillness of the sensor ends the scan.
-    pub auto: bool,
     /// Limits.
     pub config: DaemonConfig,
     /// Device folder.
@@ -180,7 +178,7 @@ impl Streaming {
             Some(Ending::Ordered)
         } else if seconds >= c.config.max_scan_s {
             Some(Ending::Longest)
-        } else if c.auto && self.motion.still_s() >= c.config.end_still_s {
+        } else if c.orders.is_auto() && self.motion.still_s() >= c.config.end_still_s {
             Some(Ending::Still)
         } else if self.disk_checked.elapsed() >= DISK_INTERVAL {
             self.disk_checked = Instant::now();

@@ -13,7 +13,8 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
     let clipped = prepared.fields.always_clipped();
     let scene =
         choose::Scene { mesh: &prepared.mesh, rays: &prepared.scene, colors: prepared.colors(), clipped: &clipped };
-    let chosen = choose::choose(&scene, found, &run.config.tuning.factorisation, &mut || run.plan.local_light());
+    let tuning = &run.config.tuning.factorisation;
+    let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
     prepared.decisions.push(chosen.decision);
     if chosen.searched {
         run.plan.local_light_done();

@@ -5,6 +5,8 @@ use crate::settings::section;
 section! {
     /// Factorisation of lit colours into light and albedo.
     FactorisationTuning = "factorisation" {
+        /// Lamps and emitting surfaces are looked for where distant light does not explain the surface. Source: the light so far needs an answer within a second.
+        near_light: bool = true, [()], "", "";
         /// Albedo of every vertex before anything is known of it. Source: mid grey.
         initial_albedo: f64 = 0.5, [0.01..=1.0], "", "a0, Eq. (10)";
         /// Bands of the first solution, whose albedo only bounces light. Source: measured on the rendered scenes.

@@ -13,6 +13,7 @@ mod align;
 mod anchors;
 mod gates;
 mod geometric;
+mod margin;
 mod ncc;
 mod normal_equations;
 mod photometric;

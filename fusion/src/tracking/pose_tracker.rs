@@ -5,10 +5,11 @@ use crate::camera::rolling_shutter::Motion;
 use crate::camera::twist::{exp, log};
 use crate::frame::grey::Grey;
 use crate::frame::preprocess::Frame;
-use crate::report::Tracking;
+use crate::report::{Margin, Tracking};
 use crate::tracking::align::Aligner;
 use crate::tracking::anchors::Anchors;
 use crate::tracking::effort::Effort;
+use crate::tracking::margin::{Evidence, margin};
 use crate::tracking::ncc::ncc;
 use crate::tracking::problem::AlignmentContext;
 use crate::tracking::reference::Reference;
@@ -40,6 +41,8 @@ pub struct PoseTracker {
     /// `None` before the first tracked frame.
     state: Option<Tracking>,
     trajectory: Vec<(TimestampNs, Pose)>,
+    /// Of the current frame, if it was tracked from the last one.
+    pub(super) margin: Option<Margin>,
 }
 
 impl PoseTracker {
@@ -57,12 +60,18 @@ impl PoseTracker {
             streak: 0,
             state: None,
             trajectory: Vec::new(),
+            margin: None,
         }
     }
 
     /// State after the last frame; `None` before the first tracked frame.
     pub fn state(&self) -> Option<Tracking> {
         self.state
+    }
+
+    /// How far the current frame is from being lost.
+    pub fn margin(&self) -> Option<Margin> {
+        self.margin
     }
 
     /// Time since the last tracked frame, seconds.
@@ -105,6 +114,7 @@ impl PoseTracker {
         effort: &Effort,
     ) -> Option<Pose> {
         let AlignmentContext { rig, config, .. } = context;
+        self.margin = None;
         let last = self.reference.world_from_camera;
         let dt = self.age_s(stamp);
         let predicted = last.compose(&exp(&(self.velocity * dt)));
@@ -125,7 +135,8 @@ impl PoseTracker {
         let frame_to_anchor = context.problem(frame, &self.anchors.get(self.anchor)?.reference);
         let fine = self.aligner.align(&frame_to_anchor, &coarse.world_from_camera, &predicted, effort.fine);
         let pose = fine.world_from_camera;
-        let plausible = gates::is_plausible_motion(&log(&last.inverse().compose(&pose)), dt, config);
+        let twist = log(&last.inverse().compose(&pose));
+        let plausible = gates::is_plausible_motion(&twist, dt, config);
         let references = [frame_to_anchor, context.problem(frame, &self.reference)];
         let correlations: Vec<f32> = references.iter().filter_map(|r| ncc(r, &pose)).collect();
         tracing::trace!(?coarse, ?fine, plausible, ?correlations, timing = ?self.timing, "tracked");
@@ -135,6 +146,11 @@ impl PoseTracker {
         {
             return None;
         }
+        let anchor = frame_to_anchor.reference;
+        let (coarse, correlations) = (&coarse, &correlations);
+        let evidence =
+            Evidence { frame: frame_to_anchor.frame, anchor, coarse, fine: &fine, correlations, twist, dt_s: dt };
+        self.margin = Some(margin(&evidence, config));
         let tuning = &config.tuning.timing;
         if self.streak >= tuning.velocity_frames as usize
             && frame.motion.speed(frame.median_depth) > tuning.min_speed_m_s
@@ -166,6 +182,7 @@ impl PoseTracker {
             self.state = Some(Tracking::Lost);
             self.streak = 0;
         }
+        self.margin = None;
     }
 
     /// Keeps a tracked frame as the reference of the next one, and changes to the nearest anchor; the frame becomes an anchor

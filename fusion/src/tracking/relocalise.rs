@@ -38,6 +38,7 @@ impl PoseTracker {
     /// best hypothesis; returns it if it passes the gate.
     pub fn relocalise(&mut self, frame: &Frame, context: AlignmentContext, stamp: TimestampNs) -> Option<Pose> {
         let AlignmentContext { rig, config, .. } = context;
+        self.margin = None;
         let tuning = &config.tuning.relocalisation;
         let mut tries = vec![self.anchor];
         tries.extend(self.anchors.most_similar(frame, config.tuning.tracking.relocalisation_tries as usize));

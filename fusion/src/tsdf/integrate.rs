@@ -98,6 +98,11 @@ impl Integrator {
         Integrated { blocks, refused }
     }
 
+    /// `[slot]`: number of the last frame that updated the block.
+    pub fn stamps(&self) -> &[u32] {
+        &self.stamp
+    }
+
     /// Must be called after `Volume::coarsen`: the slots hold other blocks.
     pub fn reset_slots(&mut self) {
         self.measured.fill(self.frame);

@@ -37,7 +37,7 @@ impl BlockEdges {
 }
 
 /// Samples of a block and of the first layer beyond it: distance in units of truncation, and weight.
-struct Padded {
+pub(super) struct Padded {
     sdf: [f32; PAD * PAD * PAD],
     weight: [u16; PAD * PAD * PAD],
 }
@@ -52,7 +52,7 @@ fn at(x: usize, y: usize, z: usize) -> usize {
 }
 
 impl Padded {
-    fn gather(volume: &Volume, coord: BlockCoord) -> Self {
+    pub(super) fn gather(volume: &Volume, coord: BlockCoord) -> Self {
         let mut out = Self { sdf: [1.0; PAD * PAD * PAD], weight: [0; PAD * PAD * PAD] };
         for d in (0..8).map(octant) {
             let Some(slot) = volume.find(coord + d) else { continue };
@@ -70,6 +70,12 @@ impl Padded {
             }
         }
         out
+    }
+
+    /// Distance and weight of a sample, 0 to 8 along each axis.
+    pub(super) fn sample(&self, v: IVec3) -> (f32, u16) {
+        let i = at(v.x as usize, v.y as usize, v.z as usize);
+        (self.sdf[i], self.weight[i])
     }
 
     /// True if the surface lies between two samples.

@@ -7,6 +7,7 @@ pub mod components;
 pub mod marching_cubes;
 pub mod model;
 pub mod sampling;
+pub mod surfels;
 pub mod visibility;
 pub mod volume;
 

@@ -3,6 +3,7 @@
 use crate::camera::rig::Rig;
 use crate::frame::preprocess::Frame;
 use crate::tsdf::integrate::Integrator;
+use crate::tsdf::surfels::{BlockSurface, SurfaceReader};
 use crate::tsdf::volume::Volume;
 use firmware_config::FusionConfig;
 use recordings::types::Pose;
@@ -40,6 +41,11 @@ impl Model {
             self.integrate(frame, pose, rig, config);
         }
         self.coarsen_full_pool(config)
+    }
+
+    /// Surface that changed, see [`SurfaceReader`].
+    pub fn read_surface(&self, reader: &mut SurfaceReader, limit: usize, out: &mut Vec<BlockSurface>) {
+        reader.read(&self.volume, self.integrator.stamps(), limit, out);
     }
 
     /// The volume alone; frees the state of integration.

@@ -3,6 +3,8 @@
 #![allow(dead_code, reason = "every test file uses a part of it")]
 #![allow(clippy::expect_used, reason = "these are tests")]
 
+pub mod http;
+
 use assert_cmd::Command;
 use glam::{DMat3, DVec3};
 use std::fmt::Write as _;

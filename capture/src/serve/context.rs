@@ -1,0 +1,31 @@
+//! What requests are answered from.
+
+use crate::orders::Orders;
+use crate::report::Reporter;
+use crate::serve::access::Access;
+use crate::serve::jobs::Jobs;
+use crate::serve::live::hub::Hub;
+use crate::status::Board;
+use firmware_config::Config;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The parts of the box that the page shows and drives.
+pub struct Context {
+    /// Who may do what.
+    pub access: Access,
+    /// The scan in progress.
+    pub hub: Arc<Hub>,
+    /// The state of the box.
+    pub board: Arc<Board>,
+    /// Takes requests.
+    pub orders: Orders,
+    /// Device folder.
+    pub device: PathBuf,
+    /// Settings.
+    pub config: Config,
+    /// Progress and log.
+    pub reporter: Reporter,
+    /// Work on finished scans.
+    pub jobs: Jobs,
+}

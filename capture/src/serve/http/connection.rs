@@ -1,0 +1,116 @@
+//! One connection: requests in, answers out, each within its time.
+
+use crate::serve::http::request::{HEAD_BYTES, Method, Refused, Request};
+use crate::serve::http::response::Response;
+use std::io::{ErrorKind, Read};
+use std::net::{IpAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+/// Longest time from the first byte of a head to its last one, and of a body.
+const HEAD_TIME: Duration = Duration::from_secs(5);
+/// Longest wait for the next request.
+const IDLE_TIME: Duration = Duration::from_secs(15);
+/// Longest time in which a client takes no byte.
+const STALL_TIME: Duration = Duration::from_secs(60);
+/// Most requests of a connection.
+const REQUESTS: u32 = 10_000;
+
+/// A request with its body and the client's address.
+pub struct Asked {
+    /// The head.
+    pub request: Request,
+    /// The body.
+    pub body: Vec<u8>,
+    /// Where it came from.
+    pub peer: IpAddr,
+}
+
+/// Serves a connection until it ends. `idle` is told when the connection waits for a request or its body, and when it no longer
+/// does.
+///
+/// # Errors
+/// The client is gone, or too slow.
+pub fn serve(
+    mut stream: TcpStream,
+    peer: IpAddr,
+    answer: impl Fn(Asked) -> Response,
+    idle: impl Fn(bool),
+) -> std::io::Result<()> {
+    stream.set_nodelay(true)?;
+    stream.set_write_timeout(Some(STALL_TIME))?;
+    let mut received = Vec::new();
+    for _ in 0..REQUESTS {
+        idle(true);
+        let request = match read_head(&mut stream, &mut received)? {
+            Some(Ok(request)) => request,
+            Some(Err(Refused(status))) => {
+                Response::error(status, "the request is malformed or too large").write(&mut stream, false, false)?;
+                return drain(&mut stream);
+            }
+            None => return Ok(()),
+        };
+        let body = read_body(&mut stream, &mut received, request.body_bytes)?;
+        idle(false);
+        let (keep_alive, head_only) = (request.keep_alive, request.method == Method::Head);
+        let response = answer(Asked { request, body, peer });
+        if !response.write(&mut stream, head_only, keep_alive)? {
+            return drain(&mut stream);
+        }
+    }
+    Ok(())
+}
+
+/// The next request; `None` at the end of the connection. What was received beyond it stays in `received`.
+fn read_head(stream: &mut TcpStream, received: &mut Vec<u8>) -> std::io::Result<Option<Result<Request, Refused>>> {
+    let mut deadline = Instant::now() + if received.is_empty() { IDLE_TIME } else { HEAD_TIME };
+    loop {
+        match Request::parse(received) {
+            Ok(Some((request, n))) => {
+                received.drain(..n);
+                return Ok(Some(Ok(request)));
+            }
+            Ok(None) => {}
+            Err(refused) => return Ok(Some(Err(refused))),
+        }
+        let first = received.is_empty();
+        if receive(stream, received, HEAD_BYTES, deadline)? == 0 {
+            return Ok(None);
+        }
+        if first {
+            deadline = Instant::now() + HEAD_TIME;
+        }
+    }
+}
+
+fn read_body(stream: &mut TcpStream, received: &mut Vec<u8>, bytes: usize) -> std::io::Result<Vec<u8>> {
+    let deadline = Instant::now() + HEAD_TIME;
+    while received.len() < bytes {
+        if receive(stream, received, bytes, deadline)? == 0 {
+            return Err(ErrorKind::UnexpectedEof.into());
+        }
+    }
+    Ok(received.drain(..bytes).collect())
+}
+
+/// Receives what is there, up to `most` bytes in all, before the deadline.
+fn receive(stream: &mut TcpStream, received: &mut Vec<u8>, most: usize, deadline: Instant) -> std::io::Result<usize> {
+    let left = deadline.saturating_duration_since(Instant::now());
+    if left.is_zero() {
+        return Err(ErrorKind::TimedOut.into());
+    }
+    stream.set_read_timeout(Some(left))?;
+    let mut buffer = [0; 2048];
+    let room = most.saturating_sub(received.len()).clamp(1, buffer.len());
+    let n = stream.read(&mut buffer[..room])?;
+    received.extend_from_slice(&buffer[..n]);
+    Ok(n)
+}
+
+/// Lets the client read the last answer: closing with unread input would take it back.
+fn drain(stream: &mut TcpStream) -> std::io::Result<()> {
+    stream.shutdown(std::net::Shutdown::Write)?;
+    let deadline = Instant::now() + Duration::from_millis(500);
+    let mut rest = Vec::new();
+    while receive(stream, &mut rest, HEAD_BYTES, deadline)? > 0 && rest.len() < HEAD_BYTES {}
+    Ok(())
+}

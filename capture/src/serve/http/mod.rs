@@ -1,0 +1,10 @@
+//! A small HTTP/1.1 server. In: bytes of strangers. Out: checked requests to a handler, and its answers.
+//!
+//! Everything is bounded: connections (in all and by address), bytes of a head and of a body, the time for a head, the time
+//! between requests, the time in which a client takes nothing, and the bytes that wait for it.
+
+pub mod connection;
+pub mod request;
+pub mod response;
+pub mod server;
+mod slots;
