@@ -67,14 +67,14 @@ fn main() {
     });
 
     let (cpu, wall) = (processor_s(), Instant::now());
-    let relight = Relight::new(&before, &config, &|_| {});
+    let relight = Relight::new(&before, &LocalLight::default(), &config, &|_| {});
     let kept = relight.view(&before, &view, &config);
     println!("transfer: {:.2} s ({:.2} s of CPU)", wall.elapsed().as_secs_f64(), processor_s() - cpu);
     let panoramas: Vec<Panorama> = (0..LIGHTS).map(panorama).collect();
     let projector = Projector::new(&panoramas[0], BANDS);
     let (cpu, wall) = (processor_s(), Instant::now());
     for p in &panoramas {
-        let light = NewLight { coefficients: projector.project(p), environment: p.environment(0.0) };
+        let light = NewLight { coefficients: projector.project(p), environment: p.environment(0.0), scanned: false };
         let picture = relight.picture(&kept, &light, Vec3::ONE, None);
         assert!(picture.linear.iter().any(|p| p.y > 0.0));
     }

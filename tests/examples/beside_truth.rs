@@ -18,6 +18,7 @@ use firmware_config::RealityConfig;
 use glam::{DQuat, DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::import::trajectory::read_trajectory;
+use recordings::local_light::LocalLight;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::{CameraModel, Distortion, Intrinsics, Pose, Response};
 use std::error::Error;
@@ -63,6 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let seen_found = view.lit(&NewLight {
         coefficients: estimate.light.coefficients.clone(),
         environment: Environment::from_light(&estimate.light),
+        scanned: false,
     });
     let albedo_found = view.albedo(&estimate);
     let surface = |i: usize| albedo[i] != Vec3::ZERO && albedo_found[i] != Vec3::ZERO;
@@ -73,6 +75,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let relit_found = view.lit(&NewLight {
         coefficients: there.spherical_harmonics(BANDS - 1),
         environment: Environment::from_fn(|d| there.radiance(d)),
+        scanned: false,
     });
 
     // Black beside the scene, as in the albedo: what is far away has no truth of its own.
@@ -146,7 +149,7 @@ impl View {
         let nothing = cut(&estimate.mesh, &vec![false; estimate.mesh.positions.len()], &config.tuning.inpainting);
         let around = (complete(&estimate.light, &[], &config.tuning.surroundings), ObservedBackground::default());
         let changed = change(estimate, around, nothing, &[], &config);
-        let relight = Relight::new(&changed, &config, &|_| {});
+        let relight = Relight::new(&changed, &LocalLight::default(), &config, &|_| {});
         let kept = relight.view(&changed, &viewpoint, &config);
         Self { viewpoint, relight, kept }
     }

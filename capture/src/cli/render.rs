@@ -2,6 +2,7 @@
 
 use crate::cli::settings::Settings;
 use clap::{Args, ValueEnum};
+use estimator::render::lighting::lamp_change::LampChange;
 use estimator::render::objects::insert::Insert;
 use estimator::render::removal::select::Removal;
 use estimator::render::view::ViewChoice;
@@ -25,6 +26,7 @@ Examples:
   lumiscan render result.lres --view keyframe:4 --over photo --insert knot.glb@0.2,-0.1,0 -o out.png
   lumiscan render result.lres --view keyframe:4 --over photo --remove box:0.1,0,0.001,0.3,0.2,0.1 -o out.png
   lumiscan render result.lres --view keyframe:0 --light panoramas/ -o frames/
+  lumiscan render result.lres --view keyframe:0 --over photo --lamp 0=@0.2,0.1,0.5 --lamp 1=off -o moved.png
   lumiscan render result.lres --view orbit:90 --insert other.lres#segment=4 -o turn.mp4")]
 #[allow(rustdoc::broken_intra_doc_links, reason = "brackets in the text of --help are no links")]
 pub struct Render {
@@ -63,6 +65,14 @@ pub struct Render {
     /// Turns that light about +Z, counter-clockwise from above.
     #[arg(long, value_name = "DEG", default_value = "0", allow_negative_numbers = true, value_parser = finite)]
     pub light_yaw: f32,
+    /// N=off, N=on, N=*FACTOR, N=*R,G,B or N=@x,y,z (metres): switches, dims, colours, moves a lamp that `inspect` lists.
+    ///
+    /// Several for one lamp are joined by commas: 0=*0.5,@0.1,0.2,0.6. Under --light, lamps are off unless named here.
+    #[arg(long, value_name = "LAMP")]
+    pub lamp: Vec<LampChange>,
+    /// The same for an emitting surface, which cannot be moved.
+    #[arg(long, value_name = "EMITTER")]
+    pub emitter: Vec<LampChange>,
     /// Worker threads [default: one a processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,

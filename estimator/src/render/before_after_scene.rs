@@ -2,7 +2,9 @@
 
 use crate::numerics::random::hash;
 use crate::rays::{Hit, RayScene};
+use crate::render::bounding_sphere::BoundingSphere;
 use crate::render::lighting::environment::Environment;
+use crate::render::lighting::local_sources::LocalSources;
 use crate::render::objects::material::Brdf;
 use crate::render::objects::object::{Object, interpolate};
 use crate::render::sampling::{Cone, cosine, cosine_density, ggx_normal, point, smith};
@@ -11,6 +13,8 @@ use std::f32::consts::PI;
 
 /// Maximum number of mirror reflections along a ray.
 const MAX_REFLECTIONS: u32 = 4;
+/// GGX width below which rays of a lobe find lamps by themselves.
+const NARROW: f32 = 0.05;
 
 /// Before the change or after it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,33 +76,6 @@ impl Body {
     }
 }
 
-/// A bounding sphere of an inserted or removed object.
-#[derive(Debug, Clone, Copy)]
-pub struct BoundingSphere {
-    /// Its middle.
-    pub center: Vec3,
-    /// Its radius in metres.
-    pub radius: f32,
-}
-
-impl BoundingSphere {
-    /// Around the middle of the bounding box of some points.
-    #[must_use]
-    pub fn around(points: impl Iterator<Item = Vec3> + Clone) -> Option<Self> {
-        let (low, high) = points.clone().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
-        let center = (low + high) * 0.5;
-        let radius = points.fold(0.0f32, |r, p| r.max(p.distance(center)));
-        center.is_finite().then_some(Self { center, radius })
-    }
-
-    fn is_met(&self, origin: Vec3, direction: Vec3) -> bool {
-        let d = self.center - origin;
-        let along = d.dot(direction);
-        let r2 = self.radius * self.radius * 1.0001;
-        d.length_squared() <= r2 || (along > 0.0 && d.length_squared() - along * along <= r2)
-    }
-}
-
 /// Which body a ray meets first.
 #[derive(Debug, Clone, Copy)]
 pub enum RayTarget<'a> {
@@ -130,12 +107,15 @@ pub struct BeforeAfterScene {
     pub inserted: Option<Body>,
     /// Bounding spheres of removed and inserted objects.
     pub changes: Vec<BoundingSphere>,
-    /// The light.
+    /// Light from far away.
     pub environment: Environment,
+    /// Light from lamps and emitting surfaces, which are part of what stays.
+    pub local: LocalSources,
 }
 
 impl BeforeAfterScene {
-    fn changing(&self, part: Part, origin: Vec3, direction: Vec3) -> Option<(&Body, Hit)> {
+    /// The surface of this part, removed or inserted, that a ray meets, whatever stands before it.
+    pub(super) fn changing(&self, part: Part, origin: Vec3, direction: Vec3) -> Option<(&Body, Hit)> {
         let body = match part {
             Part::Removed => self.removed.as_ref()?,
             _ => self.inserted.as_ref()?,
@@ -210,7 +190,13 @@ impl BeforeAfterScene {
     ) -> Vec3 {
         let samples = if brdf.alpha < 1e-3 { 1 } else { samples };
         let view = -direction;
-        let mut sum = Vec3::ZERO;
+        // A wide lobe would meet small sources by chance only.
+        let aimed = brdf.alpha >= NARROW;
+        let mut sum = if aimed {
+            self.local_reflection(spot, brdf, view, side, first..first + samples, seed) * samples as f32
+        } else {
+            Vec3::ZERO
+        };
         for i in 0..samples {
             let (normal, weight) = if brdf.alpha < 1e-3 {
                 (spot.normal, 1.0)
@@ -229,15 +215,25 @@ impl BeforeAfterScene {
                 continue;
             }
             let f = brdf.reflectance(view.dot(normal).abs());
-            sum += f * self.radiance(spot.origin, out.normalize(), side, depth, seed ^ i) * weight;
+            let out = out.normalize();
+            // Only what the camera sees itself shows sources: light that mirrors throw on surfaces is left out.
+            let source = if aimed || depth > 0 { None } else { self.source_along(spot.origin, out, side) };
+            let arriving = source.unwrap_or_else(|| self.radiance(spot.origin, out, side, depth, seed ^ i));
+            sum += f * arriving * weight;
         }
         sum / samples as f32
     }
 
-    /// Irradiance over π at a spot: `samples` directions, half drawn by the cosine and half by the light (the balance
-    /// heuristic of Veach). `first` goes on with a sequence that was begun.
+    /// Irradiance over π at a spot. `first` goes on with a sequence that was begun.
     #[must_use]
     pub fn gather(&self, spot: &SurfacePoint, side: Side, samples: u32, first: u32, seed: u32) -> Vec3 {
+        self.gather_rays(spot, side, samples, first, seed) + self.local_irradiance(spot, side, samples, first, seed)
+    }
+
+    /// The same without what arrives straight from lamps and emitting surfaces: `samples` directions, half drawn by the
+    /// cosine and half by the light from far away (the balance heuristic of Veach).
+    #[must_use]
+    pub fn gather_rays(&self, spot: &SurfacePoint, side: Side, samples: u32, first: u32, seed: u32) -> Vec3 {
         let mut sum = Vec3::ZERO;
         for i in first..first + samples {
             let u = point(i / 2, seed ^ (i & 1));
@@ -304,7 +300,7 @@ impl BeforeAfterScene {
             }
             sum += difference * (cos / (PI * density));
         }
-        sum / samples as f32
+        sum / samples as f32 + self.local_change(spot, samples, seed)
     }
 
     /// An upper bound of the share of irradiance that the change can touch at a spot, under even light.

@@ -2,11 +2,13 @@
 
 use crate::mesh::graph::Graph;
 use crate::numerics::random::hash;
-use crate::render::before_after_scene::{BeforeAfterScene, Body, BoundingSphere, Side};
+use crate::render::before_after_scene::{BeforeAfterScene, Body, Side};
+use crate::render::bounding_sphere::BoundingSphere;
 use crate::render::inpainting::geometry::Cut;
 use crate::render::inpainting::membrane::inpaint;
 use crate::render::inpainting::texture::continue_texture;
 use crate::render::lighting::environment::Environment;
+use crate::render::lighting::local_sources::LocalSources;
 use crate::render::lighting::observed_background::ObservedBackground;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
@@ -79,7 +81,9 @@ pub fn change(
 
     let mut radiance = estimate.lit_color.clone();
     radiance.resize(kept.positions.len(), Vec3::ZERO);
-    let seen: Vec<bool> = radiance.iter().map(|f| f.is_finite() && f.max_element() > 0.0).collect();
+    let mut seen: Vec<bool> = radiance.iter().map(|f| f.is_finite() && f.max_element() > 0.0).collect();
+    // What an emitting surface reflects is not known: as much as what is around it.
+    estimate.local_light.emitters.iter().flat_map(|e| &e.vertices).for_each(|&i| seen[i as usize] = false);
     inpaint(&mut radiance, &seen, &graph);
 
     let mut object = Object { mesh: kept, ..whole.clone() };
@@ -97,6 +101,7 @@ pub fn change(
         let color = removed_from.iter().map(|&i| estimate.albedo[i as usize]).collect();
         Body::new(Object { mesh: removed, color, ..Object::default() }, light)
     });
+    let local = LocalSources::new(&estimate.local_light, &object.mesh);
     let kept = Body::new(object, radiance);
     let mut all = Object::default();
     for object in inserted {
@@ -109,7 +114,7 @@ pub fn change(
         let dark = vec![Vec3::ZERO; all.mesh.positions.len()];
         Body::new(all, dark)
     });
-    let scene = BeforeAfterScene { kept, removed, inserted, changes, environment };
+    let scene = BeforeAfterScene { kept, removed, inserted, changes, environment, local };
     Changed { background, ..light(scene, &seen, first_patch, &graph, config) }
 }
 
@@ -149,18 +154,26 @@ fn light(
     };
     let reach: Vec<f32> =
         (0..n).into_par_iter().map(|v| if used[v] { scene.reach(&scene.kept.vertex_point(v)) } else { 0.0 }).collect();
-    let reached: Vec<bool> = reach.iter().map(|r| *r > tuning.smallest_reach as f32).collect();
-    let irradiance: Vec<Vec3> = (0..n)
+    let reached: Vec<bool> = (0..n)
+        .into_par_iter()
+        .map(|v| {
+            reach[v] > tuning.smallest_reach as f32 || (used[v] && scene.reaches_sources(&scene.kept.vertex_point(v)))
+        })
+        .collect();
+    let (irradiance, ambient): (Vec<Vec3>, Vec<Vec3>) = (0..n)
         .into_par_iter()
         .map(|v| {
             if !reached[v] {
-                return Vec3::ZERO;
+                return (Vec3::ZERO, Vec3::ZERO);
             }
+            let (spot, seed) = (scene.kept.vertex_point(v), hash(v as u32, seed));
             let rays = rays(reach[v], config.vertex_rays, tuning);
-            scene.gather(&scene.kept.vertex_point(v), Side::Before, rays, 0, hash(v as u32, seed))
+            let ambient = scene.gather_rays(&spot, Side::Before, rays, 0, seed);
+            (ambient + scene.local_irradiance(&spot, Side::Before, rays, 0, seed), ambient)
         })
-        .collect();
-    let open = irradiance.iter().fold(Vec3::ZERO, |m, e| m.max(*e)).max_element();
+        .unzip();
+    // Beside a lamp all else would count as dark: it is left out.
+    let open = ambient.iter().fold(Vec3::ZERO, |m, e| m.max(*e)).max_element();
 
     // Colour is measured only where enough light falls, and not where the removed object touches.
     let removed = scene.removed.is_some();

@@ -86,6 +86,9 @@ pub fn model(changed: &Changed, view: &Viewpoint, config: &RealityConfig) -> Vec
 fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32, gloss_rays: u32) -> Vec3 {
     use crate::render::before_after_scene::RayTarget;
     let scene = &changed.scene;
+    if let Some(source) = scene.source_along(eye, d, side) {
+        return source;
+    }
     match scene.meet(eye, d, side) {
         RayTarget::Beyond => changed.beyond(d),
         RayTarget::Body(body, hit, _) => {
@@ -326,10 +329,11 @@ fn inserted_radiance(changed: &Changed, view: &Viewpoint, i: usize, config: &Rea
     (color / n, cover as f32 / n)
 }
 
-/// The hit of a view ray on an inserted object that no kept surface hides.
+/// The hit of a view ray on an inserted object that no kept surface and no lamp hides.
 fn visible(changed: &Changed, body: &Body, eye: Vec3, d: Vec3) -> Option<Hit> {
     let hit = body.bvh.closest_hit(eye, d)?;
-    (!changed.scene.kept.bvh.occluded_within(eye, d, hit.distance)).then_some(hit)
+    let lamp = changed.scene.local.lamp_along(eye, d).is_some_and(|(distance, _)| distance < hit.distance);
+    (!lamp && !changed.scene.kept.bvh.occluded_within(eye, d, hit.distance)).then_some(hit)
 }
 
 /// True if an inserted object is near the ray of pixel `p`.

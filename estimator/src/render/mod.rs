@@ -6,11 +6,13 @@
 //! Sloan et al. 2002).
 
 pub mod before_after_scene;
+pub mod bounding_sphere;
 pub mod change;
 pub mod compose;
 pub mod error;
 pub mod inpainting;
 pub mod lighting;
+mod local_light;
 pub mod objects;
 pub mod relight;
 pub mod removal;

@@ -26,6 +26,8 @@ pub fn cosine(normal: Vec3, u: [f32; 2]) -> Vec3 {
 pub struct Cone {
     axis: Vec3,
     cos: f32,
+    /// 1 − cos, without cancellation.
+    cap: f32,
 }
 
 impl Cone {
@@ -35,20 +37,23 @@ impl Cone {
         let d = center - point;
         let far2 = d.length_squared();
         let sin2 = radius * radius / far2;
-        (sin2 < 0.9).then(|| Self { axis: d / far2.sqrt(), cos: (1.0 - sin2).sqrt() })
+        (sin2 < 0.9).then(|| {
+            let cos = (1.0 - sin2).sqrt();
+            Self { axis: d / far2.sqrt(), cos, cap: sin2 / (1.0 + cos) }
+        })
     }
 
     /// Solid angle in steradians.
     #[must_use]
     pub fn solid_angle(&self) -> f32 {
-        TAU * (1.0 - self.cos)
+        TAU * self.cap
     }
 
     /// A direction of the cone; its density is 1 / solid angle.
     #[must_use]
     pub fn sample(&self, u: [f32; 2]) -> Vec3 {
-        let z = 1.0 - u[0] * (1.0 - self.cos);
-        let r = (1.0 - z * z).max(0.0).sqrt();
+        let below = u[0] * self.cap;
+        let (z, r) = (1.0 - below, (below * (2.0 - below)).max(0.0).sqrt());
         let (s, c) = libm::sincosf(TAU * u[1]);
         let (t, b) = self.axis.any_orthonormal_pair();
         (t * (r * c) + b * (r * s) + self.axis * z).normalize()
@@ -81,6 +86,14 @@ pub fn ggx_normal(normal: Vec3, alpha: f32, u: [f32; 2]) -> Vec3 {
     let (s, c) = libm::sincosf(TAU * u[1]);
     let (t, b) = normal.any_orthonormal_pair();
     (t * (r * c) + b * (r * s) + normal * cos2.max(0.0).sqrt()).normalize()
+}
+
+/// Density of the GGX distribution at the cosine between a microfacet's normal and the surface's.
+#[must_use]
+pub fn ggx(cos: f32, alpha: f32) -> f32 {
+    let a2 = alpha * alpha;
+    let s = cos * cos * (a2 - 1.0) + 1.0;
+    a2 / (PI * s * s)
 }
 
 /// Smith's masking of one direction for GGX.

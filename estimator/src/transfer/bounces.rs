@@ -72,6 +72,32 @@ pub fn bounce_scaled(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced 
     bounced
 }
 
+/// Irradiance over π with all bounces, for light that spherical harmonics do not tell: `direct` is what arrives straight,
+/// `[vertex]`.
+#[must_use]
+pub fn bounce_light(traced: &Traced, albedo: &[Vec3], direct: &[Vec3]) -> Vec<Vec3> {
+    let scale = 1.0 / traced.hit_rays.max(1) as f32;
+    let size = |of: &[Vec3]| libm::sqrt(of.iter().map(|e| f64::from(e.length_squared())).sum::<f64>());
+    let (mut last, mut total) = (direct.to_vec(), direct.to_vec());
+    let mut before = size(direct);
+    for bounce in 1..=MAX_BOUNCES {
+        let radiosity: Vec<Vec3> = last.par_iter().zip(albedo).map(|(e, a)| *e * *a).collect();
+        let arriving = |v: usize| traced.hits(v).iter().map(|&h| radiosity[h as usize]).sum::<Vec3>() * scale;
+        last = (0..total.len()).into_par_iter().map(arriving).collect();
+        let now = size(&last);
+        let ratio = if before > 0.0 { (now / before).min(MAX_RATIO) } else { 0.0 };
+        // The last bounce stands for the geometric rest of the series.
+        let end = bounce == MAX_BOUNCES || now <= BOUNCE_TOLERANCE * size(direct);
+        let weight = if end { (1.0 / (1.0 - ratio)) as f32 } else { 1.0 };
+        total.iter_mut().zip(&last).for_each(|(t, e)| *t += *e * weight);
+        if end {
+            break;
+        }
+        before = now;
+    }
+    total
+}
+
 /// Summary of a series of bounces.
 struct Series {
     bounces: u32,

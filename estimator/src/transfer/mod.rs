@@ -13,7 +13,7 @@ mod traced;
 mod tracer;
 mod vertex;
 
-pub use bounces::{Bounced, bounce, bounce_on, bounce_scaled};
+pub use bounces::{Bounced, bounce, bounce_light, bounce_on, bounce_scaled};
 pub use irradiance::Transfer;
 pub use traced::{ERROR_OF_TWICE, Traced, unoccluded};
 pub use tracer::Tracer;

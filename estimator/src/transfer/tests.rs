@@ -1,7 +1,7 @@
 //! Tests of tracing and bounces on two planes that meet.
 
 use crate::rays::RayScene;
-use crate::transfer::bounces::{bounce, bounce_on, bounce_scaled};
+use crate::transfer::bounces::{bounce, bounce_light, bounce_on, bounce_scaled};
 use crate::transfer::irradiance::Transfer;
 use crate::transfer::tracer::{MAX_HITS, Tracer, kept_rays};
 use glam::Vec3;
@@ -50,6 +50,23 @@ fn scaled_bounces_come_near_the_converged_series() {
     let grey = bounce(&traced, &vec![Vec3::splat(0.4); albedo.len()], 0);
     let (before, on) = (off(arriving(grey.clone())), off(arriving(bounce_on(&traced, &albedo, grey))));
     assert!(before > 0.03 && on < 3e-3, "from other albedos: {on}, which were {before} off");
+}
+
+#[test]
+fn light_from_anywhere_bounces_as_spherical_harmonics_do() {
+    let mesh = corner(24);
+    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
+    let traced = Arc::new(tracer.trace(128, &|_| ()));
+    let albedo = vec![Vec3::new(0.9, 0.6, 0.3); mesh.positions.len()];
+    let all = Transfer { traced: Arc::clone(&traced), bounced: Some(bounce(&traced, &albedo, 0)) };
+    let straight = Transfer { traced: Arc::clone(&traced), bounced: None }.irradiance(&[[1.0, 2.0, 3.0]]);
+    let bounced = bounce_light(&traced, &albedo, &straight);
+    let pairs = all.irradiance(&[[1.0, 2.0, 3.0]]).into_iter().zip(bounced).zip(straight);
+    let (off, share) = pairs.fold((0.0f32, 0.0f32), |(off, share), ((a, b), s)| {
+        (off.max(((a - b) / a).abs().max_element()), share.max(((a - s) / a).max_element()))
+    });
+    assert!(off < 2e-3 && share > 0.1, "{off}, bounced share {share}");
+    assert_eq!(bounce_light(&traced, &albedo, &vec![Vec3::ZERO; albedo.len()])[0], Vec3::ZERO);
 }
 
 #[test]

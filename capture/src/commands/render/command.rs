@@ -15,6 +15,7 @@ use estimator::render::compose::{Viewpoint, compose, model};
 use estimator::render::error::RenderError;
 use estimator::render::inpainting::geometry::cut;
 use estimator::render::lighting::completion::complete;
+use estimator::render::lighting::lamp_change::changed_light;
 use estimator::render::lighting::observed_background::{ObservedBackground, surroundings};
 use estimator::render::objects::insert::{give_material, load as load_object};
 use estimator::render::objects::object::Object;
@@ -47,6 +48,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let scan = read_scan(args)?;
     let mut lights = args.light.as_deref().map(|l| Lights::open(l, args.light_yaw)).transpose()?;
     let views = views(&args.view, &estimate, scan.as_ref(), args.size)?;
+    let near = changed_light(&estimate.local_light, &args.lamp, &args.emitter, lights.is_some())?;
     let light_frames = lights.as_ref().map_or(Some(1), Lights::count);
     check_frames(&sink, views.len(), light_frames)?;
 
@@ -63,8 +65,11 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
         estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
     let beyond = &config.tuning.surroundings;
     let known = surroundings(&estimate, &scene, &pictures, beyond);
-    let around =
-        (complete(&estimate.light, &known, beyond), ObservedBackground::new(&estimate, pictures, &known, beyond));
+    let environment = complete(&estimate.light, &known, beyond);
+    if near != estimate.local_light && lights.is_none() {
+        lights = Some(Lights::scanned(&estimate.light, environment.clone()));
+    }
+    let around = (environment, ObservedBackground::new(&estimate, pictures, &known, beyond));
     let changed = change(&estimate, around, cut, &objects, &config);
 
     let started = Instant::now();
@@ -86,7 +91,8 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
             }
         }
         Some(lights) => {
-            let relight = Relight::new(&changed, &config, &|f| reporter.step(&step("transfer", f, String::new())));
+            let relight =
+                Relight::new(&changed, &near, &config, &|f| reporter.step(&step("transfer", f, String::new())));
             relit(args, &changed, &relight, lights, &views, &estimate, &config, &mut sink, &progress)?;
         }
     }
@@ -235,8 +241,13 @@ fn relit(
         let mut viewpoint = view.viewpoint.clone();
         if over.is_none() {
             // One gain for all frames, so that a light that fades is seen to fade.
-            let g = *gain.get_or_insert_with(|| good_gain(&relight.picture(kept, light, Vec3::ONE, None).linear));
-            viewpoint.gain = Vec3::splat(if sink.kind() == Kind::Exr && args.exposure.is_none() { 1.0 } else { g });
+            let good = || good_gain(&relight.picture(kept, light, Vec3::ONE, None).linear);
+            viewpoint.gain = match (light.scanned, args.exposure) {
+                // A lamp that is dimmed is seen to be dimmed.
+                (true, exposure) => viewpoint.gain * exposure.unwrap_or(1.0),
+                (false, None) if sink.kind() == Kind::Exr => Vec3::ONE,
+                (false, _) => Vec3::splat(*gain.get_or_insert_with(good)),
+            };
         }
         let picture = relight.picture(kept, light, viewpoint.gain, over);
         sink.frame(&Frame::new(viewpoint.size(), picture, None, estimate.response))

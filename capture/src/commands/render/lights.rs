@@ -24,7 +24,7 @@ pub struct Lights {
 enum Source {
     Files(VecDeque<PathBuf>),
     Video { child: Child, frames: BufReader<ChildStdout>, path: PathBuf, read: usize },
-    Coefficients(Option<Vec<[f64; 3]>>),
+    Ready(Option<NewLight>),
 }
 
 impl Drop for Source {
@@ -41,9 +41,13 @@ impl Lights {
     pub fn open(text: &str, yaw_deg: f32) -> Result<Self, Failure> {
         let path = Path::new(text);
         let source = if let Some(other) = text.strip_prefix("result:") {
-            Source::Coefficients(Some(Estimate::read(Path::new(other))?.light.coefficients))
+            let other = Estimate::read(Path::new(other))?;
+            if !other.local_light.lamps.is_empty() || !other.local_light.emitters.is_empty() {
+                tracing::warn!("{text}: its lamps stay where they are; only its light from far away is taken");
+            }
+            Source::Ready(Some(from_coefficients(other.light.coefficients, yaw_deg)))
         } else if let Some(file) = text.strip_prefix("sh:") {
-            Source::Coefficients(Some(read_coefficients(Path::new(file))?))
+            Source::Ready(Some(from_coefficients(read_coefficients(Path::new(file))?, yaw_deg)))
         } else if path.is_dir() {
             Source::Files(panoramas(path)?)
         } else if has_extension(path, &["hdr", "exr", "png", "jpg", "jpeg"]) {
@@ -58,11 +62,18 @@ impl Lights {
         Ok(Self { source, yaw_deg, projector: None })
     }
 
+    /// The scan's own light from far away, with what keyframes saw beyond the scan.
+    pub fn scanned(light: &Light, environment: Environment) -> Self {
+        let own = from_coefficients(light.coefficients.clone(), 0.0);
+        let own = NewLight { environment, scanned: true, ..own };
+        Self { source: Source::Ready(Some(own)), yaw_deg: 0.0, projector: None }
+    }
+
     /// How many there are, where that is known beforehand.
     pub fn count(&self) -> Option<usize> {
         match &self.source {
             Source::Files(files) => Some(files.len()),
-            Source::Coefficients(_) => Some(1),
+            Source::Ready(_) => Some(1),
             Source::Video { .. } => None,
         }
     }
@@ -70,7 +81,7 @@ impl Lights {
     /// The next light.
     pub fn next(&mut self) -> Result<Option<NewLight>, Failure> {
         let panorama = match &mut self.source {
-            Source::Coefficients(c) => return Ok(c.take().map(|c| from_coefficients(c, self.yaw_deg))),
+            Source::Ready(light) => return Ok(light.take()),
             Source::Files(files) => match files.pop_front() {
                 None => return Ok(None),
                 Some(path) => Panorama::read(&path)?,
@@ -93,7 +104,7 @@ impl Lights {
         let yaw = self.yaw_deg.to_radians();
         let coefficients = turned(&projector.project(&panorama), f64::from(yaw));
         self.projector = Some(projector);
-        Ok(Some(NewLight { coefficients, environment: panorama.environment(yaw) }))
+        Ok(Some(NewLight { coefficients, environment: panorama.environment(yaw), scanned: false }))
     }
 }
 
@@ -105,7 +116,7 @@ fn from_coefficients(mut coefficients: Vec<[f64; 3]>, yaw_deg: f32) -> NewLight 
     let environment = Environment::from_light(&light);
     let mut coefficients = light.coefficients;
     coefficients.resize(BANDS * BANDS, [0.0; 3]);
-    NewLight { coefficients, environment }
+    NewLight { coefficients, environment, scanned: false }
 }
 
 fn read_coefficients(path: &Path) -> Result<Vec<[f64; 3]>, Failure> {

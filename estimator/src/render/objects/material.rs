@@ -1,5 +1,6 @@
 //! How a surface reflects: materials of glTF's metallic-roughness model, their textures, and the lobes they become.
 
+use crate::render::sampling::{ggx, smith};
 use glam::{Vec2, Vec3};
 use recordings::types::RgbImage;
 use std::sync::Arc;
@@ -97,6 +98,18 @@ impl Brdf {
     #[must_use]
     pub fn is_diffuse(&self) -> bool {
         self.f90 <= 0.0 && self.f0.max_element() <= 0.0
+    }
+
+    /// Reflectance of the lobe per steradian, times the cosine of the unit direction `out`; 0 from behind.
+    #[must_use]
+    pub fn lobe(&self, normal: Vec3, view: Vec3, out: Vec3) -> Vec3 {
+        let half = (view + out).normalize_or(normal);
+        let (nv, no) = (normal.dot(view).max(1e-3), normal.dot(out));
+        if no <= 0.0 || self.is_diffuse() {
+            return Vec3::ZERO;
+        }
+        let masked = smith(nv, self.alpha) * smith(no, self.alpha);
+        self.reflectance(view.dot(half).abs()) * (ggx(normal.dot(half), self.alpha) * masked / (4.0 * nv))
     }
 
     /// Schlick's approximation at the cosine between view and microfacet.
