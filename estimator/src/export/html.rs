@@ -2,6 +2,7 @@
 //! pictures in one file.
 
 use crate::export::file::write_whole;
+use crate::export::html_lamps::NearLight;
 use crate::export::picture::encode_rgb;
 use crate::rays::RayScene;
 use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
@@ -20,11 +21,12 @@ use std::path::Path;
 const PAGE: &str = include_str!("viewer/page.html");
 const STYLE: &str = include_str!("viewer/style.css");
 /// Parts of the script, in order; they share one scope.
-const SCRIPT: [&str; 5] = [
+const SCRIPT: [&str; 6] = [
     include_str!("viewer/vector.js"),
     include_str!("viewer/light.js"),
     include_str!("viewer/object.js"),
     include_str!("viewer/reference.js"),
+    include_str!("viewer/lamps.js"),
     include_str!("viewer/viewer.js"),
 ];
 
@@ -51,7 +53,13 @@ pub fn write(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)], 
 /// # Errors
 /// A keyframe's picture cannot be read.
 pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -> Result<String> {
-    let (transfer, scale) = transfer(result);
+    let scene = RayScene::new(&result.mesh);
+    let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
+    let near = NearLight::new(result, &scene, &traced);
+    let bounced = Some(bounce(&traced, &result.albedo, 0));
+    let transfer = Transfer { traced: traced.into(), bounced };
+    let level = level(result, &transfer, &near);
+    let (transfer, scale) = coded(&transfer);
     let (low, high) =
         result.mesh.positions.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(*p), h.max(*p)));
     let size = (high - low).max(Vec3::splat(1e-9));
@@ -87,6 +95,8 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         "confidence": part(&flat(&vertices, &result.confidence, |c| [(c.clamp(0.0, 1.0) * 255.0) as u8])),
         "segment": part(&flat(&vertices, &result.segment, |s| (*s as u16).to_le_bytes())),
         "transfer": part(&flat(&vertices, &transfer, |row| *row)),
+        "lamps": part(&near.transfer.at(&vertices)), "others": part(&near.others.at(&vertices)),
+        "emission": part(&near.emission.at(&vertices)),
         "triangles": part(bytemuck::cast_slice(triangles)),
         "coordinates": part(bytemuck::cast_slice(coordinates)),
     });
@@ -104,6 +114,8 @@ pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -
         "triangles": result.mesh.triangles.len(),
         "low": low.to_array(), "size": size.to_array(),
         "offsets": offsets, "transferScale": scale, "light": light, "gain": shown,
+        "lamps": near.lamps, "lampScale": near.transfer.scale, "level": level,
+        "hasOthers": !near.others.bytes.is_empty(), "othersScale": near.others.scale, "emissionScale": near.emission.scale,
         "segments": result.segments.iter().map(|s| json!({
             "albedo": s.albedo, "w_d": finite(s.w_d), "w_s": finite(s.w_s), "w_s_error": finite(s.w_s_error),
             "share": f64::from(s.vertices) / total,
@@ -153,13 +165,16 @@ fn display_gain(result: &Estimate) -> f32 {
     values.get(values.len() * 98 / 100).filter(|x| **x > 0.0).map_or(1.0, |x| 0.8 / x)
 }
 
+/// All light over the light from far away, mean of the green channel over the vertices: what relit pictures are as bright as.
+fn level(result: &Estimate, transfer: &Transfer, near: &NearLight) -> f32 {
+    let far: f64 = transfer.irradiance(&result.light.coefficients).iter().map(|e| f64::from(e.y)).sum();
+    let near: f64 = near.irradiance.iter().map(|e| f64::from(e.y)).sum();
+    if far > 0.0 { ((far + near) / far) as f32 } else { 1.0 }
+}
+
 /// Transfer (Eq. 8, gi, mean of the channels) in signed bytes, `[vertex][16]`, and the value of 127 per coefficient.
-fn transfer(result: &Estimate) -> (Vec<[u8; COEFFICIENTS]>, [f32; COEFFICIENTS]) {
-    let scene = RayScene::new(&result.mesh);
-    let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
-    let bounced = Some(bounce(&traced, &result.albedo, 0));
-    let transfer = Transfer { traced: traced.into(), bounced };
-    let n = result.mesh.positions.len();
+fn coded(transfer: &Transfer) -> (Vec<[u8; COEFFICIENTS]>, [f32; COEFFICIENTS]) {
+    let n = transfer.traced.vertices();
     let mut rows = vec![[0.0f32; COEFFICIENTS]; n];
     let mut most = [1e-9f32; COEFFICIENTS];
     for (v, row) in rows.iter_mut().enumerate() {

@@ -7,6 +7,7 @@ pub mod folder;
 pub mod glb;
 pub mod hdr;
 pub mod html;
+mod html_lamps;
 pub mod obj;
 pub mod picture;
 pub mod ply;

@@ -3,6 +3,7 @@
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
 use crate::numerics::sh;
 use crate::rays::RayScene;
+use crate::render::lighting::local_sources::LocalSources;
 use crate::texture::detail::Detail;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
@@ -14,6 +15,8 @@ use recordings::types::{Intrinsics, RgbImage};
 const SUPERSAMPLING: u32 = 2;
 /// Rays per vertex for the picture of albedo × light.
 const RAYS: usize = 128;
+/// Rays per vertex to each lamp.
+const SOURCE_RAYS: u32 = 16;
 /// Nearer than this share of the scene's depth nothing is drawn.
 const NEAR_SHARE: f64 = 1e-3;
 
@@ -24,6 +27,13 @@ pub struct KeyframeView<'a> {
     /// Supersampled.
     raster: Raster,
     corners: Vec<DVec3>,
+}
+
+/// What lights a vertex.
+struct Around {
+    scene: RayScene,
+    sources: LocalSources,
+    directions: Vec<Vec3>,
 }
 
 /// An RGB picture in linear or display values, row-major; `None` where nothing is seen.
@@ -98,21 +108,25 @@ impl<'a> KeyframeView<'a> {
     }
 
     /// Radiance towards the camera of every vertex in view by Eqs. (9) and (13): albedo × irradiance at the transfer
-    /// level of the result, plus gloss. Interreflected light is gathered from the lit colours. Black out of view.
+    /// level of the result, plus gloss, lamps and emitting surfaces. Interreflected light is gathered from the lit colours.
+    /// Black out of view.
     pub fn model(&self) -> Vec<Vec3> {
         let mut seen = vec![false; self.result.mesh.positions.len()];
         for t in self.raster.triangle.iter().filter(|t| **t != MISS) {
             self.result.mesh.triangles[*t as usize].iter().for_each(|c| seen[*c as usize] = true);
         }
-        let scene = RayScene::new(&self.result.mesh);
-        let directions = cosine_directions(RAYS);
+        let around = Around {
+            scene: RayScene::new(&self.result.mesh),
+            sources: LocalSources::new(&self.result.local_light, &self.result.mesh),
+            directions: cosine_directions(RAYS),
+        };
         let eye = self.keyframe.world_from_camera.translation.as_vec3();
-        let radiance = |i: usize| self.vertex_radiance(i, eye, &scene, &directions);
+        let radiance = |i: usize| self.vertex_radiance(i, eye, &around);
         (0..seen.len()).into_par_iter().map(|i| if seen[i] { radiance(i) } else { Vec3::ZERO }).collect()
     }
 
-    fn vertex_radiance(&self, i: usize, eye: Vec3, scene: &RayScene, directions: &[Vec3]) -> Vec3 {
-        let r = self.result;
+    fn vertex_radiance(&self, i: usize, eye: Vec3, around: &Around) -> Vec3 {
+        let (r, Around { scene, sources, directions }) = (self.result, around);
         let (position, normal) = (r.mesh.positions[i], r.mesh.normals[i]);
         let origin = scene.offset_origin(position, normal);
         // A turn of its own for every vertex trades bands of error for grain.
@@ -125,13 +139,17 @@ impl<'a> KeyframeView<'a> {
             irradiance += match hit {
                 None => self.light(d),
                 Some(hit) if r.transfer == TransferLevel::Gi => {
-                    let [a, b, c] = r.mesh.triangles[hit.triangle as usize].map(|k| r.lit_color[k as usize]);
+                    // Emitting surfaces are aimed at below.
+                    let color =
+                        |k| if sources.emission(k) == Vec3::ZERO { r.lit_color[k as usize] } else { Vec3::ZERO };
+                    let [a, b, c] = r.mesh.triangles[hit.triangle as usize].map(color);
                     a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
                 }
                 Some(_) => Vec3::ZERO,
             };
         }
-        let diffuse = r.albedo[i] * irradiance / directions.len() as f32;
+        let near = sources.irradiance_in(scene, (origin, normal), 0..SOURCE_RAYS, i as u32);
+        let diffuse = r.albedo[i] * (irradiance / directions.len() as f32 + near) + sources.emission(i as u32);
         let Some(segment) = r.segments.get(r.segment[i] as usize) else { return diffuse };
         let mut radiance = diffuse;
         if segment.w_s > 0.0 {

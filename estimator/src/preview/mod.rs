@@ -5,5 +5,6 @@ pub mod canvas;
 mod color;
 mod font;
 mod keyframe_view;
+mod lamps;
 pub mod sheet;
 mod spheres;

@@ -5,6 +5,7 @@ use crate::numerics::robust::{median, quantile};
 use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_COLUMNS, fill, page, pixmap, write_text};
 use crate::preview::color::{display, heat, segment_color};
 use crate::preview::keyframe_view::{KeyframeView, Panel};
+use crate::preview::lamps;
 use crate::preview::spheres;
 use crate::rays::RayScene;
 use crate::render::lighting::completion::complete;
@@ -64,11 +65,19 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         ),
         (format!("{} segments", result.segments.len()), view.paint(&by_segment(&segment_color), |v| v.to_array())),
         (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
-        (format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands()), light(result)),
     ];
+    let lamps = lamps::seen(result);
+    let mut panorama = light(result);
+    lamps::mark(&mut panorama, &lamps);
+    let caption = if lamps.is_empty() {
+        format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands())
+    } else {
+        "Light: up +Z, left edge +Y; rings: lamps".into()
+    };
+    panels.push((caption, panorama));
     let height = panels[0].1.height;
-    let balls =
-        spheres::panel(&surrounding_light(scan, result), &keyframe.world_from_camera, (PANEL, height), as_photographed);
+    let around = (&surrounding_light(scan, result), lamps.as_slice());
+    let balls = spheres::panel(around, &keyframe.world_from_camera, (PANEL, height), as_photographed);
     panels.push(("Grey, silver, mirror in this light".into(), balls));
     panels.extend(validation_panels(scan, result, detail.as_ref())?);
     compose(&panels, &facts(scan, result), height)
@@ -164,6 +173,10 @@ fn facts(scan: &Scan, result: &Estimate) -> Vec<String> {
     let (v, t) = (result.mesh.positions.len(), result.mesh.triangles.len());
     let _ = writeln!(text, "{v} vertices, {t} triangles");
     let _ = writeln!(text, "{} keyframes of {} frames", result.keyframes.len(), scan.stats.pairs);
+    for (number, lamp) in result.local_light.lamps.iter().enumerate() {
+        let [x, y, z] = lamp.center;
+        let _ = writeln!(text, "lamp {number}: at {x:.2}, {y:.2}, {z:.2} m");
+    }
     for w in &result.witnesses {
         let (lit, model) = (w.lit_psnr_db, w.model_psnr_db);
         let _ = writeln!(text, "validation {}: lit {lit:.1} dB, model {model:.1} dB", w.name);

@@ -1,12 +1,16 @@
-//! A grey, a silver and a mirror ball in the recovered light, seen as the keyframe sees: light at a glance.
+//! A grey, a silver and a mirror ball in the recovered light, seen as the keyframe sees: light at a glance. They stand in
+//! the middle of the scene, where lamps shine on them.
 
 use crate::numerics::sh;
 use crate::preview::keyframe_view::Panel;
+use crate::preview::lamps::SeenLamp;
 use crate::render::lighting::environment::Environment;
+use crate::render::objects::material::Brdf;
 use crate::render::sampling::{ggx_normal, point, smith};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::types::Pose;
+use std::f32::consts::PI;
 
 /// Albedo of the grey ball.
 const GREY: f64 = 0.5;
@@ -19,7 +23,7 @@ const DIFFUSE_BANDS: usize = 9;
 
 /// The three balls side by side in a panel of `width` × `height`; `display` turns radiance into display values.
 pub fn panel(
-    environment: &Environment,
+    (environment, lamps): (&Environment, &[SeenLamp]),
     world_from_camera: &Pose,
     (width, height): (u32, u32),
     display: impl Fn(Vec3) -> [f32; 3] + Sync,
@@ -40,10 +44,22 @@ pub fn panel(
             return ([0.0; 3], 0.0);
         }
         let normal = turn * Vec3::new(dx, dy, -inside.sqrt());
+        let shine = |of: &dyn Fn(&SeenLamp) -> Vec3| lamps.iter().map(of).sum::<Vec3>();
         let radiance = match ball {
-            0 => Vec3::from(sh::radiance(&soft, DVec3::from(normal)).map(|c| c.max(0.0) as f32)),
-            1 => silver(environment, normal, forward, i),
-            _ => environment.radiance((forward - normal * (2.0 * normal.dot(forward))).normalize()),
+            0 => {
+                let far = Vec3::from(sh::radiance(&soft, DVec3::from(normal)).map(|c| c.max(0.0) as f32));
+                far + shine(&|l| l.flux() * (GREY as f32 / PI * normal.dot(l.direction).max(0.0)))
+            }
+            1 => {
+                let lobe = Brdf { diffuse: Vec3::ZERO, f0: Vec3::ONE, f90: 1.0, alpha: SILVER_ALPHA };
+                silver(environment, normal, forward, i)
+                    + shine(&|l| l.flux() * lobe.lobe(normal, -forward, l.direction))
+            }
+            _ => {
+                let mirrored = (forward - normal * (2.0 * normal.dot(forward))).normalize();
+                let lamp = lamps.iter().find(|l| l.angle(mirrored) < l.radius_rad);
+                lamp.map_or_else(|| environment.radiance(mirrored), |l| l.radiance)
+            }
         };
         (display(radiance), 1.0)
     });
@@ -76,7 +92,7 @@ mod tests {
     fn in_even_light_a_mirror_vanishes_and_grey_is_half_as_bright() {
         let even = Environment::from_fn(|_| Vec3::ONE);
         let pose = Pose::new(DQuat::IDENTITY, DVec3::ZERO);
-        let panel = panel(&even, &pose, (90, 30), |v| v.to_array());
+        let panel = panel((&even, &[]), &pose, (90, 30), |v| v.to_array());
         let middle = |ball: usize| panel.pixels[15 * 90 + 15 + 30 * ball].0[1];
         assert!((middle(0) - 0.5).abs() < 0.01 && (middle(2) - 1.0).abs() < 1e-3, "{} {}", middle(0), middle(2));
         // Rough metal loses what masking takes: single scattering at α = 0.3 returns 0.88.

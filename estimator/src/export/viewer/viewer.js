@@ -40,17 +40,20 @@ const lightVertex = `#version 300 es
   layout(location=3) in vec4 lit; layout(location=4) in float confidence; layout(location=5) in float segment;
   layout(location=6) in vec4 t0; layout(location=7) in vec4 t1; layout(location=8) in vec4 t2; layout(location=9) in vec4 t3;
   flat out uint packed;
+  ${LAMP_VERTEX}
+  uniform vec3 emissionScale;
   vec3 linear(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
   ${HARMONICS}
   void main() {
     vec3 e = t0.x*reached[0] + t0.y*reached[1] + t0.z*reached[2] + t0.w*reached[3] + t1.x*reached[4] + t1.y*reached[5] + t1.z*reached[6]
       + t1.w*reached[7] + t2.x*reached[8] + t2.y*reached[9] + t2.z*reached[10] + t2.w*reached[11] + t3.x*reached[12] + t3.y*reached[13]
       + t3.z*reached[14] + t3.w*reached[15];
-    e = max(e, vec3(0.0));
+    e = max(e, vec3(0.0)) + lampLight(low + position * size, normalize(normal));
+    vec3 emitted = emission.rgb * emission.rgb * emissionScale * othersPower * shown;
     vec4 look = texelFetch(segments, ivec2(int(segment) & 1023, int(segment) >> 10), 0);
     vec3 a = linear(albedo.rgb), color;
-    if (mode == 0) color = lit.r + lit.g + lit.b > 0.0 ? linear(lit.rgb) : a * e * shown;
-    else if (mode == 1) color = a * e * shown;
+    if (mode == 0) color = lit.r + lit.g + lit.b > 0.0 ? linear(lit.rgb) : a * e * shown + emitted;
+    else if (mode == 1) color = a * e * shown + emitted;
     else if (mode == 2) color = a;
     else if (mode == 3) color = e * 0.5 * shown;
     else if (mode == 4) color = look.rgb;
@@ -83,6 +86,7 @@ const objectVertex = `#version 300 es
   uniform mat4 camera; uniform vec3 foot, eye, light[16], gain; uniform float size, shown;
   layout(location=0) in vec3 position; layout(location=1) in vec3 normal; layout(location=2) in vec4 look; out vec3 color;
   ${HARMONICS}
+  ${LAMP_OBJECT}
   void main() {
     vec3 p = foot + size * position, n = normalize(normal);
     gl_Position = camera * vec4(p, 1.0);
@@ -90,7 +94,9 @@ const objectVertex = `#version 300 es
     vec3 soft[16]; for (int k = 0; k < 16; k++) soft[k] = light[k] * (k == 0 ? 1.0 : k < 4 ? 0.666667 : k < 9 ? 0.25 : 0.0);
     // What a mirror shows, under a Hann window: few harmonics ring.
     vec3 seen[16]; for (int k = 0; k < 16; k++) seen[k] = light[k] * (k == 0 ? 1.0 : k < 4 ? 0.904508 : k < 9 ? 0.654508 : 0.345492);
-    vec3 c = look.rgb * mix(max(along(soft, n), vec3(0.0)), max(along(seen, reflect(normalize(p - eye), n)), vec3(0.0)), look.a);
+    vec3 mirrored = reflect(normalize(p - eye), n);
+    vec3 c = look.rgb * (mix(max(along(soft, n), vec3(0.0)), max(along(seen, mirrored), vec3(0.0)), look.a)
+      + lampLight(p, n, mirrored, look.a)) + glow;
     c = clamp(c * shown * gain, 0.0, 1.0);
     color = mix(c * 12.92, 1.055 * pow(max(c, vec3(1e-6)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c));
   }`;
@@ -136,6 +142,11 @@ part(at.confidence, n); attribute(4, 1, gl.UNSIGNED_BYTE, true, 1);
 part(at.segment, 2 * n); attribute(5, 1, gl.UNSIGNED_SHORT, false, 2);
 part(at.transfer, 16 * n);
 for (let k = 0; k < 4; k++) attribute(6 + k, 4, gl.BYTE, true, 16, 4 * k);
+if (facts.lamps.length) { part(at.lamps, 4 * n); attribute(10, 4, gl.UNSIGNED_BYTE, true, 4); }
+if (facts.hasOthers) {
+  part(at.others, 4 * n); attribute(11, 4, gl.UNSIGNED_BYTE, true, 4);
+  part(at.emission, 4 * n); attribute(12, 4, gl.UNSIGNED_BYTE, true, 4);
+}
 
 const scanArrays = gl.createVertexArray();
 gl.bindVertexArray(scanArrays);
@@ -205,6 +216,14 @@ const matrix = (c, low, size) => {
   return m;
 };
 
+// A changed lamp shows in the relit scan.
+const near = lampControls(facts, () => { if ($("mode").value === "0") $("mode").value = "1"; draw(); });
+const bulb = ballCorners([0, 0, 0], 0), bulbArrays = gl.createVertexArray();
+gl.bindVertexArray(bulbArrays); store(bulb);
+const corners = () => { attribute(0, 3, gl.FLOAT, false, 4 * FLOATS); attribute(1, 3, gl.FLOAT, false, 4 * FLOATS, 12); attribute(2, 4, gl.FLOAT, false, 4 * FLOATS, 24); };
+corners();
+gl.bindVertexArray(null);
+
 let source = facts.light.map((c) => c.slice()), shown = facts.gain, video = null, raised = null;
 const turned = () => {
   const tilt = $("tilt").value * Math.PI / 180;
@@ -214,7 +233,7 @@ const turned = () => {
 const relight = (picture, keepLevel) => {
   source = ofPicture(picture);
   // A picture's level means nothing: shown as bright as the scan was, once for all frames of a video.
-  if (!keepLevel) shown = facts.gain * facts.light[0][1] / Math.max(source[0][1], 1e-6);
+  if (!keepLevel) { shown = facts.gain * facts.level * facts.light[0][1] / Math.max(source[0][1], 1e-6); near.off(); }
   if ($("mode").value === "0") $("mode").value = "1";
   draw();
 };
@@ -254,6 +273,13 @@ const draw = () => {
   gl.uniform3fv(lit.u("low"), facts.low); gl.uniform3fv(lit.u("size"), facts.size); gl.uniform3fv(lit.u("eye"), c.eye);
   gl.uniform3fv(lit.u("light"), light); gl.uniform3fv(lit.u("reached"), reached); gl.uniform3fv(lit.u("gain"), gain);
   gl.uniform1i(lit.u("mode"), Number($("mode").value)); gl.uniform1f(lit.u("shown"), shown);
+  const lamps = lampUniforms(near.lamps), lampsOf = (program) => {
+    gl.uniform4fv(program.u("lampPlace"), lamps.place); gl.uniform3fv(program.u("lampPower"), lamps.power);
+  };
+  lampsOf(lit);
+  gl.uniform4fv(lit.u("lampScale"), facts.lampScale); gl.uniform3fv(lit.u("othersScale"), facts.othersScale.slice(0, 3));
+  gl.uniform3fv(lit.u("othersPower"), [near.others, near.others, near.others]);
+  gl.uniform3fv(lit.u("emissionScale"), facts.emissionScale.slice(0, 3));
   gl.enable(gl.RASTERIZER_DISCARD);
   gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, feedback);
   gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, shades);
@@ -266,14 +292,19 @@ const draw = () => {
   gl.uniformMatrix4fv(scan.u("camera"), false, matrix(c, facts.low, facts.size));
   gl.uniform1i(scan.u("sharp"), 1); gl.uniform1i(scan.u("textured"), sharp && Number($("mode").value) < 3 ? 1 : 0);
   gl.drawElements(gl.TRIANGLES, triangles.length, gl.UNSIGNED_INT, 0);
-  if (thingShown) {
-    gl.useProgram(thing.p); gl.bindVertexArray(thingShown.arrays);
-    gl.uniformMatrix4fv(thing.u("camera"), false, matrix(c, [0, 0, 0], [1, 1, 1]));
-    gl.uniform3fv(thing.u("foot"), thingShown.foot); gl.uniform1f(thing.u("size"), thingShown.size);
-    gl.uniform3fv(thing.u("eye"), c.eye); gl.uniform3fv(thing.u("light"), light);
-    gl.uniform3fv(thing.u("gain"), gain); gl.uniform1f(thing.u("shown"), shown);
-    gl.drawArrays(gl.TRIANGLES, 0, thingShown.corners);
-  }
+  gl.useProgram(thing.p);
+  gl.uniformMatrix4fv(thing.u("camera"), false, matrix(c, [0, 0, 0], [1, 1, 1]));
+  gl.uniform3fv(thing.u("eye"), c.eye); gl.uniform3fv(thing.u("light"), light);
+  gl.uniform3fv(thing.u("gain"), gain); gl.uniform1f(thing.u("shown"), shown);
+  lampsOf(thing); gl.uniform1fv(thing.u("lampRadius"), lamps.radius);
+  const drawThing = (arrays, count, foot, size, glow) => {
+    gl.bindVertexArray(arrays);
+    gl.uniform3fv(thing.u("foot"), foot); gl.uniform1f(thing.u("size"), size); gl.uniform3fv(thing.u("glow"), glow);
+    gl.drawArrays(gl.TRIANGLES, 0, count);
+  };
+  if (thingShown) drawThing(thingShown.arrays, thingShown.corners, thingShown.foot, thingShown.size, [0, 0, 0]);
+  if (Number($("mode").value) < 2) near.lamps.filter((l) => l.power > 0).forEach((l) =>
+    drawThing(bulbArrays, bulb.length / FLOATS, [l.place[0], l.place[1], l.place[2] - l.radius_m], l.radius_m, l.radiance.map((x) => x * l.power)));
   frames++;
   const photo = $("photo");
   photo.hidden = !keyframe;
@@ -309,14 +340,14 @@ let own = null;
 const put = (h) => {
   const kind = $("click").value;
   if (kind === "file" && !own) { $("told").textContent = "Drop a GLB file onto the page first."; return; }
-  const corners = kind === "file" ? own : kind === "grey" ? ballCorners([0.5, 0.5, 0.5], 0) : ballCorners([0.95, 0.95, 0.95], 1);
+  const list = kind === "file" ? own : kind === "grey" ? ballCorners([0.5, 0.5, 0.5], 0) : ballCorners([0.95, 0.95, 0.95], 1);
   const arrays = gl.createVertexArray();
   gl.bindVertexArray(arrays);
-  store(corners);
-  attribute(0, 3, gl.FLOAT, false, 4 * FLOATS); attribute(1, 3, gl.FLOAT, false, 4 * FLOATS, 12); attribute(2, 4, gl.FLOAT, false, 4 * FLOATS, 24);
+  store(list);
+  corners();
   gl.bindVertexArray(null);
   if (thingShown) gl.deleteVertexArray(thingShown.arrays);
-  thingShown = { arrays, corners: corners.length / FLOATS, foot: h.point, size: kind === "file" ? 1 : extent * 0.05 };
+  thingShown = { arrays, corners: list.length / FLOATS, foot: h.point, size: kind === "file" ? 1 : extent * 0.05 };
   draw();
 };
 const click = (x, y) => {
@@ -386,5 +417,5 @@ document.addEventListener("dragover", (e) => e.preventDefault());
 document.addEventListener("drop", (e) => { e.preventDefault(); if (e.dataTransfer.files[0]) open(e.dataTransfer.files[0]); });
 window.addEventListener("resize", draw);
 // For tests: what a person does by hand.
-window.lumiscan = { draw, click, open, frames: () => frames, view: (k) => { keyframe = k === null ? null : facts.keyframes[k]; draw(); }, finish: () => { const p = new Uint8Array(4); gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, p); } };
+window.lumiscan = { draw, click, open, near, frames: () => frames, view: (k) => { keyframe = k === null ? null : facts.keyframes[k]; draw(); }, finish: () => { const p = new Uint8Array(4); gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, p); } };
 draw();
