@@ -7,10 +7,14 @@
 mod common;
 
 use common::{arg, ok, python, scanned_table, text, works};
+use recordings::local_light::{Lamp, LightModel, LocalLight};
 use recordings::result::Estimate;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+
+/// A lamp that is put into the result: finding lamps is tested elsewhere.
+const LAMP: Lamp = Lamp { center: [0.1, -0.2, 0.5], radius_m: 0.05, radiance: [80.0, 60.0, 40.0] };
 
 /// A published scan and its exports.
 struct Exported {
@@ -24,7 +28,11 @@ static EXPORTED: OnceLock<Exported> = OnceLock::new();
 fn exported() -> &'static Exported {
     EXPORTED.get_or_init(|| {
         let (dir, scan) = scanned_table("foreign");
-        let result = arg(scan.join("result.lres"));
+        let mut estimate = Estimate::read(&scan.join("result.lres")).unwrap();
+        estimate.local_light = LocalLight { model: LightModel::Lamps, lamps: vec![LAMP], ..LocalLight::default() };
+        let result = arg(dir.join("lamp.lres"));
+        estimate.write(Path::new(&result)).unwrap();
+        std::fs::copy(scan.join("scan.lscan"), dir.join("lamp.lscan")).unwrap();
         for (form, name) in [
             ("glb", "result.glb"),
             ("ply", "result.ply"),
@@ -35,7 +43,6 @@ fn exported() -> &'static Exported {
         ] {
             ok(&["export", &result, "--to", form, "-o", &arg(dir.join(name))]);
         }
-        let estimate = Estimate::read(&scan.join("result.lres")).unwrap();
         Exported { dir, scan, estimate }
     })
 }
@@ -75,6 +82,10 @@ fn three_js() {
     assert!(found["vertices"][0].as_u64() > Some(e.estimate.mesh.positions.len() as u64), "{found}");
     assert_eq!(found["triangles"], e.estimate.mesh.triangles.len());
     assert_eq!(found["cameras"], e.estimate.keyframes.len());
+    // Candela: L π r² of the brightest channel; +Z up here is +Y up there.
+    let lamp = &found["lamps"][0];
+    assert!(is_near(&lamp["place"], [0.1, 0.5, 0.2]) && is_near(&lamp["color"], [1.0, 0.75, 0.5]), "{lamp}");
+    assert!((lamp["intensity"].as_f64().unwrap() - 80.0 * std::f64::consts::PI * 0.0025).abs() < 1e-6, "{lamp}");
     let [width, height] = texture_size(e);
     assert_eq!((&found["textured"], &found["sizes"]), (&true.into(), &[format!("{width}x{height}")].into()));
     assert_eq!((&found["hdr"], &found["exr"]), (&[512, 256].into(), &[512, 256].into()));
@@ -133,6 +144,13 @@ fn blender() {
     assert_eq!((&found["coordinates"], &found["light"]), (&true.into(), &[512, 256].into()));
     assert_eq!(found["texture"], serde_json::json!([texture_size(e)]));
     assert!((found["up"].as_f64().unwrap() - top(&e.estimate.mesh)).abs() < 1e-4, "{found}");
+    let lamp = &found["lamps"][0];
+    assert!(is_near(&lamp["place"], LAMP.center.map(f64::from)) && is_near(&lamp["color"], [1.0, 0.75, 0.5]), "{lamp}");
+    assert!(lamp["watts"].as_f64().unwrap() > 0.0, "{lamp}");
+}
+
+fn is_near(found: &serde_json::Value, expected: [f64; 3]) -> bool {
+    (0..3).all(|k| found[k].as_f64().is_some_and(|x| (x - expected[k]).abs() < 1e-5))
 }
 
 #[test]
@@ -187,7 +205,13 @@ fn browser() {
     let pixels: Vec<u8> = (0..64 * 32).flat_map(|i| if i % 64 < 20 { [255, 240, 200] } else { [30, 40, 60] }).collect();
     estimator::export::picture::write_png(&panorama, 64, 32, &pixels).unwrap();
     let object = e.dir.join("result.glb");
-    let output = node.arg(script("viewer.cjs")).args([&page, &rendering, &panorama, &object]).output().unwrap();
+    let lamp = arg(e.dir.join("lamp.lres"));
+    let (lamp_page, lamp_rendering) = (e.dir.join("lamp.html"), e.dir.join("lamp.png"));
+    ok(&["export", &lamp, "--to", "html", "-o", &arg(&lamp_page)]);
+    let view = ["--view", "keyframe:0", "--size", "640x480"];
+    ok(&[&["render", &lamp, "--lamp", "0=*2", "-o", &arg(&lamp_rendering)], &view[..]].concat());
+    let files = [&page, &rendering, &panorama, &object, &lamp_page, &lamp_rendering];
+    let output = node.arg(script("viewer.cjs")).args(files).output().unwrap();
     let report = accepted(&output);
     eprintln!("{report}");
     assert!(std::fs::metadata(&page).unwrap().len() < 8_000_000);

@@ -24,6 +24,11 @@ found = {
         if n.type == "TEX_IMAGE" and any(l.to_socket.name == "Base Color" for l in n.outputs["Color"].links)
     ],
     "up": max(p.z for p in points),
+    "lamps": [
+        {"place": list(o.matrix_world.translation), "color": list(o.data.color), "watts": o.data.energy}
+        for o in bpy.data.objects
+        if o.type == "LIGHT" and o.data.type == "POINT"
+    ],
     "light": list(bpy.data.images.load(f"{folder}/light.exr").size),
 }
 print("found " + json.dumps(found))

@@ -13,8 +13,10 @@ globalThis.createImageBitmap = async (blob) => {
 (async () => {
   const { GLTFLoader } = await addon("GLTFLoader.js");
   const gltf = await new GLTFLoader().parseAsync(buffer("result.glb"), "");
-  const found = { vertices: new Set(), triangles: 0, cameras: gltf.cameras.length, materials: new Set(), textured: true, sizes: new Set() };
+  const found = { vertices: new Set(), triangles: 0, cameras: gltf.cameras.length, materials: new Set(), textured: true, sizes: new Set(), lamps: [] };
+  gltf.scene.updateMatrixWorld(true);
   gltf.scene.traverse((o) => {
+    if (o.isPointLight) found.lamps.push({ place: o.parent.localToWorld(o.position.clone()).toArray(), color: o.color.toArray(), intensity: o.intensity });
     if (!o.isMesh) return;
     found.vertices.add(o.geometry.attributes.position.count);
     found.triangles += o.geometry.index.count / 3;
@@ -25,5 +27,5 @@ globalThis.createImageBitmap = async (blob) => {
   const hdr = new (await addon("HDRLoader.js")).HDRLoader().parse(buffer("light.hdr"));
   const exr = new (await addon("EXRLoader.js")).EXRLoader().parse(buffer("light.exr"));
   console.log(JSON.stringify({ vertices: [...found.vertices], triangles: found.triangles, cameras: found.cameras,
-    materials: found.materials.size, textured: found.textured, sizes: [...found.sizes], hdr: [hdr.width, hdr.height], exr: [exr.width, exr.height] }));
+    materials: found.materials.size, textured: found.textured, sizes: [...found.sizes], lamps: found.lamps, hdr: [hdr.width, hdr.height], exr: [exr.width, exr.height] }));
 })().catch((e) => { console.error(e.stack); process.exit(1); });

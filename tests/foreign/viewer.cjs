@@ -1,22 +1,23 @@
-// Drives the page of a result in headless Chromium: node viewer.cjs PAGE RENDERING PANORAMA OBJECT
+// Drives the page of a result in headless Chromium: node viewer.cjs PAGE RENDERING PANORAMA OBJECT LAMP_PAGE LAMP_RENDERING
+// LAMP_PAGE is the page of a result with a lamp, LAMP_RENDERING what `lumiscan render --lamp 0=*2` shows of it.
 // Prints what it measured as JSON; exit code 1 and the reasons if the page misbehaves. Needs playwright-core (NODE_PATH).
 const { chromium } = require("playwright-core");
 const fs = require("fs");
 
-const [page, rendering, panorama, object] = process.argv.slice(2);
+const [page, rendering, panorama, object, lampPage, lampRendering] = process.argv.slice(2);
 const problems = [], told = {};
 const check = (holds, what) => { if (!holds) problems.push(what); };
 const software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"];
 const executablePath = process.env.CHROMIUM || "/usr/bin/chromium";
 
-const open = async (args, width, height, options = {}) => {
+const open = async (args, width, height, options = {}, file = page) => {
   const browser = await chromium.launch({ executablePath, args });
   const context = await browser.newContext({ viewport: { width, height }, offline: true, ...options });
   const tab = await context.newPage();
   tab.on("console", (m) => { if (m.type() === "error") problems.push("console: " + m.text()); });
   tab.on("pageerror", (e) => problems.push("error: " + e.message));
   tab.on("request", (r) => { if (!/^(file|data|blob):/.test(r.url())) problems.push("the page asks the network for " + r.url()); });
-  await tab.goto("file://" + page);
+  await tab.goto("file://" + file);
   return { browser, tab };
 };
 // Keeps what the canvas shows under a name, in the page.
@@ -41,6 +42,31 @@ const set = (tab, id, value) => tab.evaluate(([id, value]) => {
   const e = document.getElementById(id);
   e.value = value; e.dispatchEvent(new Event("input", { bubbles: true }));
 }, [id, value]);
+// Squared differences and count of the values where what was kept as "own" shows the scan, against a picture.
+const against = (tab, picture) => tab.evaluate(async (url) => {
+  const image = new Image();
+  image.src = url; await image.decode();
+  const c = document.createElement("canvas"), w = c.width = image.width, h = c.height = image.height;
+  const pen = c.getContext("2d");
+  pen.drawImage(image, 0, 0);
+  const theirs = pen.getImageData(0, 0, w, h).data, own = window.kept.own;
+  // The page shows nothing beyond the scan, and a rendering blurs what is beyond into the outline.
+  const outline = 3, near = new Uint8Array(w * h);
+  for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
+    const a = 4 * ((h - 1 - y) * w + x);
+    if (own[a] !== 23 || own[a + 1] !== 24 || own[a + 2] !== 27) continue;
+    for (let v = Math.max(0, y - outline); v <= Math.min(h - 1, y + outline); v++)
+      near.fill(1, v * w + Math.max(0, x - outline), v * w + Math.min(w, x + outline + 1));
+  }
+  let sum = 0, n = 0;
+  for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
+    const a = 4 * ((h - 1 - y) * w + x), b = 4 * (y * w + x);
+    if (near[y * w + x]) continue;
+    for (let k = 0; k < 3; k++) sum += (own[a + k] - theirs[b + k]) ** 2;
+    n += 3;
+  }
+  return [sum, n];
+}, "data:image/png;base64," + fs.readFileSync(picture).toString("base64"));
 (async () => {
   const [width, height] = [640, 480];
   const { browser, tab } = await open(software, width + 304, height);
@@ -50,30 +76,7 @@ const set = (tab, id, value) => tab.evaluate(([id, value]) => {
   await set(tab, "blend", "0");
   const [w, h] = await keep(tab, "own");
   check(w === width && h === height, `the canvas is ${w}x${h}`);
-  const [sum, n] = await tab.evaluate(async (url) => {
-    const image = new Image();
-    image.src = url; await image.decode();
-    const c = document.createElement("canvas"), w = c.width = image.width, h = c.height = image.height;
-    const pen = c.getContext("2d");
-    pen.drawImage(image, 0, 0);
-    const theirs = pen.getImageData(0, 0, w, h).data, own = window.kept.own;
-    // The page shows nothing beyond the scan, and a rendering blurs what is beyond into the outline.
-    const outline = 3, near = new Uint8Array(w * h);
-    for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
-      const a = 4 * ((h - 1 - y) * w + x);
-      if (own[a] !== 23 || own[a + 1] !== 24 || own[a + 2] !== 27) continue;
-      for (let v = Math.max(0, y - outline); v <= Math.min(h - 1, y + outline); v++)
-        near.fill(1, v * w + Math.max(0, x - outline), v * w + Math.min(w, x + outline + 1));
-    }
-    let sum = 0, n = 0;
-    for (let y = 0; y < h; y++) for (let x = 0; x < w; x++) {
-      const a = 4 * ((h - 1 - y) * w + x), b = 4 * (y * w + x);
-      if (near[y * w + x]) continue;
-      for (let k = 0; k < 3; k++) sum += (own[a + k] - theirs[b + k]) ** 2;
-      n += 3;
-    }
-    return [sum, n];
-  }, "data:image/png;base64," + fs.readFileSync(rendering).toString("base64"));
+  const [sum, n] = await against(tab, rendering);
   told.covered = n / 3 / (w * h);
   told.psnr_db = 10 * Math.log10(255 * 255 / (sum / n));
   check(told.covered > 0.1, `only ${told.covered} of the picture is drawn`);
@@ -146,6 +149,33 @@ const set = (tab, id, value) => tab.evaluate(([id, value]) => {
   });
   told.frames_per_second = timed;
   await browser.close();
+
+  // A lamp: twice as bright as `lumiscan render` shows it, switched off, moved, and off under a panorama.
+  const lit = await open(software, width + 304, height, {}, lampPage);
+  const lamp = (change) => lit.tab.evaluate((change) => { Object.assign(window.lumiscan.near.lamps[0], change); window.lumiscan.draw(); }, change);
+  await set(lit.tab, "keyframe", "0");
+  await set(lit.tab, "blend", "0");
+  await set(lit.tab, "mode", "1");
+  await lamp({ power: 2 });
+  await keep(lit.tab, "own");
+  const [lampSum, lampCount] = await against(lit.tab, lampRendering);
+  told.lamp_psnr_db = 10 * Math.log10(255 * 255 / (lampSum / lampCount));
+  check(told.lamp_psnr_db >= 25, `${told.lamp_psnr_db} dB against lumiscan render --lamp`);
+  await lamp({ power: 0 });
+  check(await changed(lit.tab, "own") > 0.05, "a lamp that is switched off changes nothing");
+  await lamp({ power: 1 });
+  await keep(lit.tab, "lamp");
+  const slid = await lit.tab.evaluate(() => {
+    const sliders = [...document.querySelectorAll("#lamps input")];
+    sliders[1].value = sliders[1].max; sliders[1].dispatchEvent(new Event("input", { bubbles: true }));
+    return [sliders.length, window.lumiscan.near.lamps[0].moved];
+  });
+  check(slid[0] === 4 && slid[1] === true, `sliders of the lamp: ${slid}`);
+  check(await changed(lit.tab, "lamp") > 0.02, "a lamp that is moved changes nothing");
+  await lit.tab.setInputFiles("#light", panorama);
+  await lit.tab.waitForTimeout(500);
+  check(await lit.tab.evaluate(() => window.lumiscan.near.lamps[0].power) === 0, "a panorama leaves the lamp on");
+  await lit.browser.close();
 
   // A phone's width: nothing overflows.
   const phone = await open(software, 375, 700, { hasTouch: true, isMobile: true });

@@ -13,6 +13,7 @@
 pub mod corpus;
 pub mod digests;
 pub mod evaluation;
+pub mod lamp_desk;
 pub mod metrics;
 pub mod scans;
 pub mod synth;

@@ -36,6 +36,8 @@ pub struct Scene {
     pub emitters: Emitters,
     /// Radiance that each part emits from its front.
     pub emission: Vec<Vec3>,
+    /// Base colour by vertex in place of the parts' textures, if there is any.
+    pub vertex_color: Option<Vec<Vec3>>,
     bvh: Bvh,
 }
 
@@ -79,7 +81,16 @@ impl Scene {
         }
         let bvh = Bvh::new(&mesh);
         let emission = vec![Vec3::ZERO; parts.len()];
-        Self { mesh, part_of_vertex, parts, environment, emitters: Emitters::default(), emission, bvh }
+        Self {
+            mesh,
+            part_of_vertex,
+            parts,
+            environment,
+            emitters: Emitters::default(),
+            emission,
+            vertex_color: None,
+            bvh,
+        }
     }
 
     /// Adds lights at finite distance: spheres beside the mesh, and parts (by index) that emit from their front.
@@ -152,16 +163,20 @@ impl Scene {
     /// Base colour at a surface point.
     #[must_use]
     pub fn base_color(&self, surface: &Surface) -> Vec3 {
-        (self.parts[surface.part].texture)(surface.position)
+        match &self.vertex_color {
+            Some(color) => surface.vertices.iter().zip(surface.weights).map(|(&i, w)| color[i as usize] * w).sum(),
+            None => (self.parts[surface.part].texture)(surface.position),
+        }
     }
 
     /// Diffuse albedo (1 − w_s) · base colour, by vertex.
     #[must_use]
     pub fn albedo(&self) -> Vec<Vec3> {
-        let of = |(p, &k): (&Vec3, &u16)| {
+        let of = |(i, &k): (usize, &u16)| {
             let part = &self.parts[usize::from(k)];
-            (part.texture)(*p) * (1.0 - part.material.w_s)
+            let base = self.vertex_color.as_ref().map_or_else(|| (part.texture)(self.mesh.positions[i]), |c| c[i]);
+            base * (1.0 - part.material.w_s)
         };
-        self.mesh.positions.iter().zip(&self.part_of_vertex).map(of).collect()
+        self.part_of_vertex.iter().enumerate().map(of).collect()
     }
 }
