@@ -2,9 +2,10 @@
 
 use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
 use crate::codec::depth::{self, DepthDecoder};
+use crate::codec::header::{from_bytes, to_bytes};
 use crate::error::{Error, Result};
 use crate::types::{Accelerometer, ColorFrame, DepthFrame, Sensor, TimestampNs, UsbPacket};
-use crate::v1::{AccelerometerV1, ColorV1, DepthV1, RecordingKindV1, RecordingV1, from_bytes, to_bytes};
+use crate::v1::{AccelerometerV1, ColorV1, DepthV1, RecordingKindV1, RecordingV1};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::path::Path;

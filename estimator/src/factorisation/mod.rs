@@ -19,6 +19,6 @@ mod solution;
 mod statistics;
 
 pub use factorise::{Factorised, Start, factorise, narrowed, start_from};
-pub use problem::{Colors, FactorisationOptions, Observed};
+pub use problem::{Colors, FactorisationOptions, KnownAlbedo, Observed};
 pub use projection::Projection;
 pub use solution::{Solution, directions};

@@ -1,10 +1,18 @@
 //! What is factorised, and how.
 
-use crate::factorisation::scale::KnownAlbedo;
 use crate::transfer::Transfer;
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
+
+/// A surface whose albedo is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KnownAlbedo {
+    /// Vertices, ascending.
+    pub vertices: Vec<u32>,
+    /// Their median albedo, linear RGB.
+    pub albedo: [f64; 3],
+}
 
 /// Options of a factorisation.
 #[derive(Debug, Clone, Copy)]

@@ -2,7 +2,7 @@
 //! segment fixes it; that of the answer is fixed by a surface of known albedo, or by what is likely (S1).
 
 use crate::factorisation::albedo::{self, Detail};
-use crate::factorisation::problem::Colors;
+use crate::factorisation::problem::{Colors, KnownAlbedo};
 use crate::factorisation::scale_prior::Surface;
 use crate::factorisation::solution::Solution;
 use crate::numerics::robust::median;
@@ -12,15 +12,6 @@ use recordings::decision::{Decision, ScaleBasis};
 
 /// Deviation of a scale that nothing has fixed yet, per channel.
 pub const UNKNOWN: [f64; 3] = [f64::INFINITY; 3];
-
-/// A surface whose albedo is known.
-#[derive(Debug, Clone, PartialEq)]
-pub struct KnownAlbedo {
-    /// Vertices, ascending.
-    pub vertices: Vec<u32>,
-    /// Their median albedo, linear RGB.
-    pub albedo: [f64; 3],
-}
 
 /// Albedo and light of one answer, which share the free factor.
 pub struct Scaled<'a> {

@@ -1,7 +1,7 @@
 //! Gloss found and removed: exposures, lit colours and factorisation once more without it (§3.4).
 
 use crate::association::Association;
-use crate::factorisation::scale::KnownAlbedo;
+use crate::factorisation::KnownAlbedo;
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
 use crate::rays::RayScene;
 use crate::specular::clean::clean;

@@ -3,13 +3,12 @@
 use crate::api::EstimateError;
 use crate::association::response;
 use crate::association::{self, Association, AssociationContext, AssociationEffort};
-use crate::factorisation::Colors;
-use crate::factorisation::scale::KnownAlbedo;
+use crate::factorisation::{Colors, KnownAlbedo};
 use crate::mesh::regularise;
 use crate::rays::RayScene;
 use crate::segmentation;
 use crate::specular::refit::Surface;
-use crate::stages::reference::reference;
+use crate::stages::reference::{Shown, reference};
 use crate::stages::run::Run;
 use recordings::decision::{Decision, Warning};
 use recordings::scan::Scan;
@@ -91,9 +90,7 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
     plan.segmentation_done();
     let warnings = Vec::from_iter(mismatch);
-    let mut prepared = Prepared { mesh, scene, fields, segment, segments, known: None, decisions, warnings };
-    if let Some(stated) = &run.options.reference {
-        prepared.known = Some(reference(stated, &prepared, scan)?);
-    }
-    Ok(prepared)
+    let shown = Shown { mesh: &mesh, scene: &scene, fields: &fields, segment: &segment };
+    let known = run.options.reference.map(|stated| reference(&stated, &shown, scan)).transpose()?;
+    Ok(Prepared { mesh, scene, fields, segment, segments, known, decisions, warnings })
 }

@@ -6,6 +6,7 @@ pub mod connectivity;
 pub mod depth;
 pub mod digest;
 pub mod exclusive;
+pub(crate) mod header;
 pub mod image;
 pub mod pack;
 pub mod vertices;

@@ -3,9 +3,10 @@
 //! at worst, less where neighbours are alike. Arrays stand in the order of the traversal of `connectivity`.
 
 use crate::codec::connectivity;
+use crate::codec::header::{from_bytes, to_bytes};
 use crate::codec::pack::{Input, put_bytes, put_numbers, put_varint, take_bytes, take_numbers};
 use crate::result::estimate::Estimate;
-use crate::v1::{VerticesV1, from_bytes, to_bytes};
+use crate::v1::VerticesV1;
 use glam::Vec3;
 use half::f16;
 

@@ -2,6 +2,7 @@
 
 use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
 use crate::codec::connectivity::{self, Traversal};
+use crate::codec::header::{from_bytes, to_bytes};
 use crate::codec::vertices;
 use crate::decision::{Cut, Decision, DecisionText, Warning};
 use crate::error::{Error, Result};
@@ -10,7 +11,7 @@ use crate::result::estimate::Estimate;
 use crate::result::origin::Origin;
 use crate::result::texture::Texture;
 use crate::types::Mesh;
-use crate::v1::{DecisionV1, EstimateV1, LightV1, from_bytes, to_bytes};
+use crate::v1::{DecisionV1, EstimateV1, LightV1};
 use std::path::Path;
 
 /// Kind of file.

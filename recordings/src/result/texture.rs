@@ -3,10 +3,10 @@
 //! A chart is an orthographic view of a part of the mesh, so its texture coordinates follow from the vertices' positions: what is
 //! stored is a frame per chart, a chart per triangle and the picture.
 
+use crate::codec::header::{from_bytes, to_bytes};
 use crate::codec::image::PictureHeader;
 use crate::codec::pack::{Input, put_bytes, put_varint, take_bytes};
 use crate::types::{ColorEncoding, Response, RgbImage};
-use crate::v1::{from_bytes, to_bytes};
 use glam::{Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 

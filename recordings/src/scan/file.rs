@@ -1,11 +1,12 @@
 //! Reading and writing of scan files.
 
 use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag, beside};
+use crate::codec::header::{from_bytes, to_bytes};
 use crate::error::{Error, Result};
 use crate::import::lists::format_seconds;
 use crate::scan::contents::{CaptureStats, FrameId, MESH_BYTES, Scan, ScanTail, check_frame, check_mesh};
 use crate::types::{ColorFrame, Keyframe, Mesh, RawVec3};
-use crate::v1::{ColorV1, KeyframeV1, ScanSourceV1, ScanV1, StatsV1, from_bytes, to_bytes};
+use crate::v1::{ColorV1, KeyframeV1, ScanSourceV1, ScanV1, StatsV1};
 use glam::Vec3;
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -2,9 +2,10 @@
 
 use crate::codec::chunk::ChunkReader;
 use crate::codec::digest::sha256;
+use crate::codec::header::from_bytes;
 use crate::error::{Error, Result};
 use crate::scan::file::{HEAD, KIND, KNOWN, VERSION};
-use crate::v1::{ScanV1, from_bytes};
+use crate::v1::ScanV1;
 use std::path::Path;
 
 /// Which scan a file holds, and with what settings it was made.
