@@ -105,20 +105,25 @@ const against = (tab, picture) => tab.evaluate(async (url) => {
   const picked = await tab.evaluate(() => window.lumiscan.click(0.5, 0.6));
   check(Number.isInteger(picked), "a click picks nothing");
   check(/Segment \d+/.test(await tab.textContent("#told")), "a click tells nothing");
-  // A click there from the keyframe that it names tells the same pixel again.
+  // Clicks from the keyframes that are told, one after the other, come back to the same pixel. Two keyframes may show a point equally well.
   const reference = async () => (await tab.textContent("#told")).match(/--reference keyframe:(\d+):(\d+),(\d+)=0\.9$/)?.slice(1).map(Number);
-  const first = await reference();
-  check(first, "a click tells no reference");
-  if (first) {
-    const [k, x, y] = first;
+  const told_pixels = new Map();
+  for (let step = 0, at = await reference(); step < 6; step++, at = await reference()) {
+    check(at, "a click tells no reference");
+    if (!at) break;
+    const [k, x, y] = at, before = told_pixels.get(k);
+    if (before) {
+      check(Math.hypot(before[0] - x, before[1] - y) <= 1.5, `keyframe ${k}: a reference ${before} became ${x},${y}`);
+      break;
+    }
+    told_pixels.set(k, [x, y]);
     await tab.evaluate(([k, x, y]) => {
       const { width, height } = JSON.parse(document.getElementById("facts").textContent).keyframes[k];
       window.lumiscan.view(k); window.lumiscan.click((x + 0.5) / width, (y + 0.5) / height);
     }, [k, x, y]);
-    const again = await reference();
-    check(again && again[0] === k && Math.abs(again[1] - x) <= 1 && Math.abs(again[2] - y) <= 1, `a reference ${first} became ${again}`);
-    await set(tab, "keyframe", "0");
   }
+  check(told_pixels.size > 0, "no keyframe is told");
+  await set(tab, "keyframe", "0");
   await keep(tab, "before");
   for (const kind of ["mirror", "grey"]) {
     await set(tab, "click", kind);

@@ -96,9 +96,11 @@ pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution, t
     Start { solution, albedo: detail.albedo, bounced: transfer.bounced }
 }
 
-/// Interreflection for an albedo (Eq. 8), if it is modelled.
+/// Interreflection for an albedo (Eq. 8), if it is modelled. The scale is not final: what would be brighter than any surface
+/// bounces like the brightest.
 fn bounce(transfer: &mut Transfer, albedo: &[Vec3], options: &FactorisationOptions) {
     if options.gi {
+        let albedo: &[Vec3] = &albedo.iter().copied().map(albedo::plausible).collect::<Vec<_>>();
         transfer.bounced = Some(match transfer.bounced.take() {
             Some(before) if options.bounces == 0 => transfer::bounce_on(&transfer.traced, albedo, before),
             _ => transfer::bounce_scaled(&transfer.traced, albedo, options.bounces),
@@ -143,6 +145,36 @@ fn normalised(
     if let Some(albedo) = paper_albedo {
         detail.albedo = albedo.iter().map(|a| *a * factor).collect();
     }
-    detail.albedo.iter_mut().for_each(|a| *a = albedo::plausible(*a));
     (detail, irradiance)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use recordings::types::Mesh;
+
+    /// White specks on a brown ball: they hold less surface than what fixes the scale while solving.
+    #[test]
+    fn small_surfaces_may_be_brighter_than_the_brightest_large_one() {
+        let albedo = [Vec3::new(0.3, 0.2, 0.1), Vec3::splat(0.8)];
+        let normals: Vec<Vec3> = crate::factorisation::directions().iter().map(|d| d.as_vec3().normalize()).collect();
+        let mesh = Mesh { positions: normals.clone(), normals, ..Mesh::default() };
+        let segment: Vec<u32> = (0..mesh.positions.len()).map(|i| u32::from(i % 80 == 7)).collect();
+        let lit_color: Vec<Vec3> = segment.iter().map(|s| albedo[*s as usize] * Vec3::new(1.0, 0.9, 0.8)).collect();
+        let weight = vec![1.0; segment.len()];
+        let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: 2, known: None };
+        let tuning = FactorisationTuning::default();
+        let options = FactorisationOptions {
+            gi: false,
+            bands: 2,
+            max_bands: 2,
+            bounces: 0,
+            solver: SolverChoice::Robust,
+            tuning: &tuning,
+        };
+        let found = factorise(Arc::new(transfer::unoccluded(&mesh, 2)), &colors, &options, None);
+        let ratio = found.detail.albedo[7] / found.detail.albedo[0];
+        let wrong = (ratio / (albedo[1] / albedo[0]) - 1.0).abs().max_element();
+        assert!(wrong < 0.05, "{ratio} instead of {}", albedo[1] / albedo[0]);
+    }
 }

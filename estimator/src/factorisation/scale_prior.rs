@@ -4,7 +4,9 @@
 //! With x the logarithm of the albedo's factor, e the median log irradiance, a the mean log albedo (outliers bounded), a_u that
 //! of segment u, all per channel, P x = x less the mean of its channels, and q(x) a high quantile of the albedo's luminance:
 //!
-//!     (S1) min_x  |P(x − e)|²/σ_e² + |P(x + a)|²/σ_a² + Σ_u w_u ρ(|P(x + a_u)|/σ_w) + (log q(x) − log q₀)²/σ_q² + Σ_c x_c²/σ_c²
+//! ```text
+//! (S1) min_x  |P(x − e)|²/σ_e² + |P(x + a)|²/σ_a² + Σ_u w_u ρ(|P(x + a_u)|/σ_w) + (log q(x) − log q₀)²/σ_q² + Σ_c x_c²/σ_c²
+//! ```
 //!
 //! Cameras balance white, so irradiance is neutral on the whole; so are surfaces, if less so; a bright segment that is nearly
 //! white is white (ρ(r) = r²/(1+r²): what is not nearly white says nothing; w_u grows with the segment's luminance). σ_c is the
