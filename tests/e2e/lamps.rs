@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, fails, ok, scanned_table};
+use common::{arg, fails, middle_of, ok, scanned_table};
 use recordings::local_light::{Emitter, Lamp, LightModel, LocalLight};
 use recordings::result::Estimate;
 use recordings::types::RgbImage;
@@ -51,28 +51,18 @@ fn lit() -> &'static Lit {
             arg(dir.join(name))
         };
         // A lamp 40 cm above the middle of the scan, several times as bright as all else.
-        let middle = middle(&estimate);
+        let middle = middle_of(&estimate);
         let level = estimate.light.coefficients[0].map(|c| c * 0.282);
         let radiance = level.map(|l| 4.0 * l * (0.4 / 0.05f64).powi(2));
-        let lamp = Lamp { center: [middle[0], middle[1], middle[2] + 0.4], radius_m: 0.05, radiance };
+        let lamp = Lamp { center: (middle + glam::Vec3::Z * 0.4).to_array(), radius_m: 0.05, radiance };
         let lamp = LocalLight { model: LightModel::Lamps, lamps: vec![lamp], ..LocalLight::default() };
-        let near = |p: &glam::Vec3| p.distance(glam::Vec3::from_array(middle)) < 0.05;
+        let near = |p: &glam::Vec3| p.distance(middle) < 0.05;
         let vertices = (0u32..).zip(&estimate.mesh.positions).filter(|(_, p)| near(p)).map(|(i, _)| i).collect();
         let emitters = vec![Emitter { vertices, radiance: level.map(|l| 0.2 * l) }];
         let emitter = LocalLight { model: LightModel::Emitters, emitters, ..LocalLight::default() };
         let (lamp, emitter) = (write("lamp.lres", lamp), write("emitter.lres", emitter));
         Lit { plain: arg(dir.join("result.lres")), lamp, emitter, dir, estimate }
     })
-}
-
-/// Where the middle of keyframe 0 meets the scan.
-fn middle(estimate: &Estimate) -> [f32; 3] {
-    let k = &estimate.keyframes[0];
-    let i = k.camera.intrinsics;
-    let d = k.world_from_camera.rotation * k.camera.unproject(f64::from(i.width) / 2.0, f64::from(i.height) / 2.0);
-    let (eye, d) = (k.world_from_camera.translation.as_vec3(), d.normalize().as_vec3());
-    let hit = estimator::rays::RayScene::new(&estimate.mesh).closest_hit(eye, d).unwrap();
-    (eye + d * hit.distance).to_array()
 }
 
 impl Lit {
@@ -143,7 +133,7 @@ fn what_is_inserted_shades_the_table_from_the_lamp() {
     ply += "element face 2\nproperty list uchar int vertex_indices\nend_header\n";
     ply += "-0.03 -0.03 0\n0.03 -0.03 0\n0.03 0.03 0\n-0.03 0.03 0\n3 0 1 2\n3 0 2 3\n";
     std::fs::write(s.dir.join("plate.ply"), ply).unwrap();
-    let [x, y, z] = middle(&s.estimate);
+    let [x, y, z] = middle_of(&s.estimate).to_array();
     let insert = format!("{}@{x},{y},{}", arg(s.dir.join("plate.ply")), z + 0.2);
     let shadow = |result: &str, name: &str| {
         let over = ["--over", "photo"];

@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{SIZE, arg, fails, ok, run, scanned_table, text};
+use common::{SIZE, arg, fails, middle_of, ok, run, scanned_table, text};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::fmt::Write as _;
@@ -76,12 +76,7 @@ impl Scanned {
 
     /// Where the middle of keyframe 0 meets the scan, as an option's value.
     fn middle(&self) -> String {
-        let k = &self.estimate.keyframes[0];
-        let i = k.camera.intrinsics;
-        let d = k.world_from_camera.rotation * k.camera.unproject(f64::from(i.width) / 2.0, f64::from(i.height) / 2.0);
-        let scene = estimator::rays::RayScene::new(&self.estimate.mesh);
-        let (eye, d) = (k.world_from_camera.translation.as_vec3(), d.normalize().as_vec3());
-        let p = eye + d * scene.closest_hit(eye, d).expect("the table").distance;
+        let p = middle_of(&self.estimate);
         format!("{},{},{}", p.x, p.y, p.z)
     }
 

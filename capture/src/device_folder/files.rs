@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// The disk is full or gone; the old content, if any, is untouched then.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let part = part_of(path);
+    let part = beside(path, ".part");
     let written = File::create(&part).and_then(|mut file| file.write_all(bytes).and_then(|()| file.sync_all()));
     written.and_then(|()| std::fs::rename(&part, path)).map_err(|e| {
         let _ = std::fs::remove_file(&part);
@@ -24,7 +24,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 /// # Errors
 /// As the file system's.
 pub fn replace_unsynced(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let part = part_of(path);
+    let part = beside(path, ".part");
     std::fs::write(&part, bytes)?;
     std::fs::rename(&part, path)
 }
@@ -37,9 +37,10 @@ pub fn sync(path: &Path) -> Result<(), Failure> {
     File::open(path).and_then(|f| f.sync_all()).map_err(|e| Failure::writing(path, e))
 }
 
-fn part_of(path: &Path) -> PathBuf {
+/// The path with `ending` appended to its file name.
+pub fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(".part");
+    name.push(ending);
     path.with_file_name(name)
 }
 

@@ -6,7 +6,9 @@
 pub mod http;
 
 use assert_cmd::Command;
-use glam::{DMat3, DVec3};
+use estimator::rays::RayScene;
+use glam::{DMat3, DVec3, Vec3};
+use recordings::result::Estimate;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::BufWriter;
@@ -77,6 +79,15 @@ pub fn scanned_table(name: &str) -> (PathBuf, PathBuf) {
     let settings = ["--set", "fusion.voxel_size_m=0.01", "--rounds", "2"];
     let folder = ok(&[&["replay", &arg(&source), "--device", &arg(&device)][..], &settings].concat());
     (dir, PathBuf::from(folder.trim()))
+}
+
+/// Where the middle of keyframe 0 meets the mesh of a result.
+pub fn middle_of(estimate: &Estimate) -> Vec3 {
+    let k = &estimate.keyframes[0];
+    let i = k.camera.intrinsics;
+    let d = k.world_from_camera.rotation * k.camera.unproject(f64::from(i.width) / 2.0, f64::from(i.height) / 2.0);
+    let (eye, d) = (k.world_from_camera.translation.as_vec3(), d.normalize().as_vec3());
+    eye + d * RayScene::new(&estimate.mesh).closest_hit(eye, d).expect("the table").distance
 }
 
 /// True if another program can be run like this.

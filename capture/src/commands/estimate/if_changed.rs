@@ -3,6 +3,7 @@
 
 use crate::cli;
 use crate::commands::estimate::inputs::Inputs;
+use crate::device_folder::files::beside;
 use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome};
 use crate::estimator_process::{self, Ended, Files};
 use crate::failure::Failure;
@@ -57,9 +58,7 @@ impl Claim {
     /// # Errors
     /// The folder cannot be written, or a signal came.
     fn take(result: &Path, stop: &Stop) -> Result<Self, Failure> {
-        let mut name = result.file_name().unwrap_or_default().to_os_string();
-        name.push(".lock");
-        let path = result.with_file_name(name);
+        let path = beside(result, ".lock");
         let mut is_waiting = false;
         loop {
             stop.check()?;

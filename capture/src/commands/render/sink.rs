@@ -3,6 +3,7 @@
 use crate::commands::files::{StagingFolder, check_fresh, has_extension};
 use crate::commands::output::check_parent;
 use crate::commands::render::ffmpeg::find_ffmpeg;
+use crate::device_folder::files::beside;
 use crate::failure::Failure;
 use estimator::export::picture::{write_exr, write_png};
 use estimator::render::compose::Picture;
@@ -146,9 +147,7 @@ impl Drop for Sink {
 }
 
 fn start_video(path: &Path, (w, h): (usize, usize)) -> Result<(Child, PathBuf), Failure> {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(".part");
-    let part = path.with_file_name(name);
+    let part = beside(path, ".part");
     let child = Command::new("ffmpeg")
         .args(["-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", &format!("{w}x{h}")])
         .args(["-r", FRAME_RATE, "-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
