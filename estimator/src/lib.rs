@@ -91,9 +91,15 @@ pub fn estimate_on(
     // Light that is not distant, where held-out surface asks for it (N1).
     let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
 
+    // Glare of the lens, and §3.2 again: segments of like albedo are one material.
+    if local_light.model == LightModel::Distant {
+        found = stages::remove_veil(&mut prepared, found, &model.options, config);
+        found = stages::merge_materials(&mut prepared, found, &model.options, config);
+    }
+
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let lit_with_gloss = prepared.fields.lit_color.clone();
-    let answer = if local_light.model == LightModel::Distant {
+    let mut answer = if local_light.model == LightModel::Distant {
         let mut answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
         stages::check_distance(&mut prepared, &answer.found, config);
         // The factor per channel that Eq. (9) leaves free (S1).
@@ -104,6 +110,7 @@ pub fn estimate_on(
         Answer { found, gloss: vec![Gloss::NONE; prepared.segments] }
     };
 
+    stages::name_materials(&mut prepared, &mut answer, config);
     let texture = stages::texture(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
 
     // Frames that no step used.

@@ -4,6 +4,7 @@
 use crate::association::keyframe_image::{KeyframeImage, distorted};
 use crate::association::pose;
 use crate::association::sampling::colors_of_image;
+use crate::association::veil::Veil;
 use crate::association::{AssociationContext, RefinedView};
 use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
@@ -36,6 +37,8 @@ pub struct Model<'a> {
     pub matte: &'a [Vec3],
     /// Texture, if there is one.
     pub detail: Option<&'a Detail<'a>>,
+    /// Share of veiling glare that the colours are free of: the frame's own is put over what is predicted.
+    pub veil_share: f64,
 }
 
 /// Prediction of one validation frame, and what limits it.
@@ -53,8 +56,8 @@ pub struct Compared {
     pub texture: Option<TexturePrediction>,
 }
 
-/// One pixel, linear RGB: observed, lit colour, model.
-type Triple = [[f64; 3]; 3];
+/// One pixel, linear RGB: observed, lit colour, model, veil of the observed.
+type Pixel = [[f64; 3]; 4];
 
 /// Compares one validation frame with the model; `None` if its picture cannot be decoded.
 #[must_use]
@@ -67,7 +70,8 @@ pub fn compare(
     let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
     let tracked = frame.world_from_camera;
     let stride = config.tuning.validation.pixel_stride as usize;
-    let image = ValidationImage { picture: &picture, lens: &frame.camera, stride };
+    let veil = Veil::of(&picture, &frame.camera, &context.table);
+    let image = ValidationImage { picture: &picture, lens: &frame.camera, veil: &veil, stride };
     let seen = |model: &Model, pose: &Pose| pixels(model, context, &image, pose);
     let first = seen(model, &tracked);
     let mut view = RefinedView { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
@@ -81,7 +85,7 @@ pub fn compare(
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
     let own = seen(
-        &Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, ..*model },
+        &Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model },
         &view.world_from_camera,
     );
     let texture = model.detail.map(|_| {
@@ -142,13 +146,14 @@ pub fn decision(compared: &[Compared], config: &EstimatorConfig) -> Option<Decis
 struct ValidationImage<'a> {
     picture: &'a KeyframeImage,
     lens: &'a CameraModel,
+    veil: &'a Veil,
     /// Every n-th pixel along each side.
     stride: usize,
 }
 
 /// Observed and predicted colours of the pixels that are compared.
-fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, pose: &Pose) -> Vec<Triple> {
-    let &ValidationImage { picture, lens, stride } = image;
+fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, pose: &Pose) -> Vec<Pixel> {
+    let &ValidationImage { picture, lens, veil, stride } = image;
     let mesh = context.mesh;
     let points = camera_positions(mesh, pose);
     let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
@@ -163,7 +168,8 @@ fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, 
         let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
         let weights = raster.weights(x, y, corners);
         let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
-        shade(model, triangle, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled])
+        let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
+        shade(model, triangle, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled, veil])
     };
     rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
 }
@@ -193,7 +199,8 @@ fn sharpness(model: &Model, context: &AssociationContext, image: &ValidationImag
             let [lit, _] = shade(model, triangle, weights, view.world_from_camera.translation)?;
             // Photon noise and contrast are alike at all levels in square roots of light.
             observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
-            rendered[i] = f64::sqrt((0..3).map(|c| (view.gain[c] * lit[c]).max(0.0)).sum());
+            let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
+            rendered[i] = f64::sqrt((0..3).map(|c| (view.gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
         }
         (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
     };
@@ -254,25 +261,25 @@ fn shade(model: &Model, triangle: u32, weights: [f32; 3], camera: DVec3) -> Opti
 }
 
 /// Median exposure gain per channel over the pixels that are neither dark nor clipped.
-fn gains(pixels: &[Triple], which: usize) -> [f64; 3] {
+fn gains(pixels: &[Pixel], which: usize) -> [f64; 3] {
     [0, 1, 2].map(|c| {
         let ratios = pixels
             .iter()
             .filter(|p| p[which][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
-            .map(|p| p[0][c] / p[which][c]);
+            .map(|p| (p[0][c] - p[3][c]) / p[which][c]);
         median(ratios).unwrap_or(1.0)
     })
 }
 
 /// PSNR in 8-bit sRGB after one fitted exposure gain per channel.
-fn psnr(pixels: &[Triple], which: usize) -> f64 {
+fn psnr(pixels: &[Pixel], which: usize) -> f64 {
     if pixels.is_empty() {
         return 0.0;
     }
     let gain = gains(pixels, which);
     let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
-    let square: f64 =
-        pixels.iter().flat_map(|p| [0, 1, 2].map(|c| (srgb(gain[c] * p[which][c]) - srgb(p[0][c])).powi(2))).sum();
+    let off = |p: &Pixel, c: usize| srgb(gain[c] * p[which][c] + p[3][c]) - srgb(p[0][c]);
+    let square: f64 = pixels.iter().flat_map(|p| [0, 1, 2].map(|c| off(p, c).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // 8 bits cannot show less than the variance of their rounding.
     -10.0 * libm::log10(mean.max(1.0 / (12.0 * 255.0 * 255.0)))

@@ -240,6 +240,26 @@ pub enum Decision {
         /// How validation frames are predicted with the texture and without it; `None` without frames.
         prediction: Option<TexturePrediction>,
     },
+    /// Veiling glare: light that the lens scatters over the picture.
+    Veil {
+        /// Share of the picture's light that is taken away.
+        share: f64,
+        /// The share that the darkest observations would be all made of.
+        most: f64,
+        /// Shares tried, and mean relative error on held-out vertices.
+        held_out: Vec<(f64, f64)>,
+    },
+    /// Segments of like albedo, which are one material.
+    Materials {
+        /// Segments by their lit colours.
+        segments: u32,
+        /// Materials.
+        materials: u32,
+        /// Mean relative error on held-out vertices, one albedo a segment.
+        held_out_segments: f64,
+        /// The same with one albedo a material.
+        held_out: f64,
+    },
 }
 
 /// What fixed the scale of the albedo.

@@ -86,6 +86,8 @@ impl Decision {
             Self::LightModel { .. } => "light model",
             Self::AlbedoScale { .. } => "albedo scale",
             Self::Texture { .. } => "texture",
+            Self::Veil { .. } => "veiling glare",
+            Self::Materials { .. } => "materials",
         }
     }
 
@@ -121,6 +123,8 @@ impl Decision {
             }
             Self::Texture { atlas: Some(atlas), .. } => format!("{:.2} mm a texel", 1e3 * atlas.texel_m),
             Self::Texture { atlas: None, .. } => "none".into(),
+            Self::Veil { share, .. } => format!("{:.1} %", 100.0 * share),
+            Self::Materials { materials, .. } => materials.to_string(),
         }
     }
 
@@ -231,6 +235,19 @@ impl Decision {
                 )
             }
             Self::Texture { atlas: None, .. } => "no keyframe shows the mesh, or its charts fit no page".into(),
+            Self::Veil { most, held_out, .. } => {
+                let tried: Vec<String> = held_out.iter().map(|(s, e)| format!("{:.1} %: {e:.4}", 100.0 * s)).collect();
+                format!(
+                    "mean relative error on vertices left out, by the share of the light that is scattered: {}; the \
+                     darkest colours hold {:.1} % at most",
+                    tried.join(", "),
+                    100.0 * most
+                )
+            }
+            Self::Materials { segments, held_out_segments, held_out, .. } => format!(
+                "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
+                 segments, {held_out:.4} with one for those of like albedo"
+            ),
         }
     }
 
@@ -256,6 +273,8 @@ impl Decision {
                 format!("{} texels of {} × {} in {} charts", atlas.texels, atlas.width, atlas.height, atlas.charts)
             }
             Self::Texture { atlas: None, .. } => String::new(),
+            Self::Veil { held_out, .. } => format!("{} factorisations", held_out.len()),
+            Self::Materials { .. } => "2 factorisations".into(),
         }
     }
 
@@ -304,6 +323,7 @@ impl Decision {
                 "finer texels: a larger texture.max_side".into()
             }
             Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
+            Self::Veil { .. } | Self::Materials { .. } => String::new(),
         }
     }
 }

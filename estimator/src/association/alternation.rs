@@ -10,6 +10,7 @@ use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, RefinedView};
 use crate::association::pose::PoseRefiner;
+use crate::association::veil::Veil;
 use firmware_config::Switch;
 use rayon::prelude::*;
 use recordings::types::Keyframe;
@@ -83,7 +84,12 @@ pub fn associate_within(
         let gain = views[o.keyframe as usize].gain;
         o.color = std::array::from_fn(|c| o.color[c] / gain[c] as f32);
     });
+    let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
+        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table))
+    };
     Association {
+        veils: images.par_iter().zip(keyframes).map(veil).collect(),
+        veil_share: 0.0,
         lit_color: lit.color,
         lit_weight: lit.weight,
         views,

@@ -21,6 +21,7 @@ pub mod predicted_image;
 pub mod re_exposure;
 pub mod response;
 pub mod sampling;
+pub mod veil;
 
 pub use alternation::{AssociationEffort, associate, associate_within};
 pub use context::AssociationContext;

@@ -1,5 +1,6 @@
 //! The result of association: observations of the vertices by the keyframes, lit colours, exposures and poses.
 
+use crate::association::veil::Veil;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use recordings::decision::Decision;
@@ -44,6 +45,10 @@ pub struct Association {
     pub observations: Vec<Observation>,
     /// Row starts in `observations`: `[vertex + 1]`.
     pub offsets: Vec<u32>,
+    /// What the lens scatters over each picture at a share of 1; `None` for keyframes without a picture. `[keyframe]`
+    pub veils: Vec<Option<Veil>>,
+    /// Share of the veil that the colours were freed of.
+    pub veil_share: f64,
     /// Exposure model and pose refinement, with their evidence.
     pub decisions: Vec<Decision>,
     /// Linear samples below this are not used for exposures.

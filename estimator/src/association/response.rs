@@ -134,6 +134,8 @@ mod tests {
         }
         let view = |gain| RefinedView { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };
         Association {
+            veils: Vec::new(),
+            veil_share: 0.0,
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],
             views: gains.map(view).to_vec(),

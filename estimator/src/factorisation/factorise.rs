@@ -38,6 +38,14 @@ impl From<Factorised> for Start {
 }
 
 impl Factorised {
+    /// A start for another factorisation of other segments, whose albedos are `albedo`, `[segment][channel]`.
+    #[must_use]
+    pub fn start_with(&self, albedo: Vec<[f64; 3]>) -> Start {
+        let mut start = self.start();
+        start.solution.albedo = albedo;
+        start
+    }
+
     /// A start for another factorisation.
     #[must_use]
     pub fn start(&self) -> Start {

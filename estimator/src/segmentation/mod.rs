@@ -6,6 +6,7 @@ pub mod dbscan;
 pub mod distance;
 pub mod features;
 pub mod labels;
+pub mod materials;
 pub mod regions;
 pub mod segment;
 pub mod shape_diameter;

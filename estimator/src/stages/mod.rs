@@ -3,6 +3,7 @@
 
 mod gloss;
 mod local_light;
+mod materials;
 mod model;
 mod prepare;
 mod reference;
@@ -10,14 +11,17 @@ mod result;
 mod run;
 mod scale;
 mod texture;
+mod veil;
 mod witnesses;
 
 pub use gloss::{Answer, remove_gloss};
 pub use local_light::select_local_light;
+pub use materials::{merge_materials, name_materials};
 pub use model::{SelectedModel, refine, select_model, trace};
 pub use prepare::{Prepared, prepare};
 pub use result::{check_distance, keyframes, light, segments, transfer_decision, transfer_level, unseen_light};
 pub use run::Run;
 pub use scale::{fix_scale, scale_rule};
 pub use texture::texture;
+pub use veil::remove_veil;
 pub use witnesses::witnesses;

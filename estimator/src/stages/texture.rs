@@ -31,7 +31,7 @@ pub fn texture(
     };
     let stride = run.plan.workload().keyframe_stride;
     let keyframes: Vec<_> = scan.keyframes.iter().zip(&prepared.fields.views).step_by(stride).collect();
-    let (texture, decision) = albedo::texture(&context, &keyframes, colors);
+    let (texture, decision) = albedo::texture(&context, &keyframes, colors, prepared.fields.veil_share);
     prepared.decisions.push(decision);
     run.plan.texture_done();
     texture

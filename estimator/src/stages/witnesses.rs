@@ -36,6 +36,7 @@ pub fn witnesses(
         gloss,
         matte: &prepared.fields.lit_color,
         detail: detail.as_ref(),
+        veil_share: prepared.fields.veil_share,
     };
     let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
     let mut compared = Vec::new();

@@ -34,14 +34,15 @@ pub struct VertexColors<'a> {
     pub albedo: &'a [Vec3],
 }
 
-/// A texture, and how it was decided.
+/// A texture, and how it was decided. `veil_share` is the share of veiling glare that the colours of the vertices are free of.
 #[must_use]
 pub fn texture(
     context: &AssociationContext,
     keyframes: &[(&Keyframe, &RefinedView)],
     colors: VertexColors,
+    veil_share: f64,
 ) -> (Option<Texture>, Decision) {
-    let (tuning, views) = (&context.config.tuning.texture, views(context, keyframes));
+    let (tuning, views) = (&context.config.tuning.texture, views(context, keyframes, veil_share));
     let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
     let Some(footprint) = footprint(context, &views) else { return none(0.0) };
     let wanted = match context.config.texture {

@@ -1,6 +1,7 @@
 //! Keyframes as seen from points of the surface.
 
 use crate::association::keyframe_image::{KeyframeImage, distorted};
+use crate::association::veil::{self, Veil};
 use crate::association::{AssociationContext, RefinedView};
 use crate::mesh::raster::{Raster, camera_positions};
 use glam::Vec3;
@@ -22,6 +23,10 @@ pub struct TextureView {
     center: Vec3,
     /// Exposure e_j of the channels.
     exposure: Vec3,
+    /// What the lens scatters over the picture.
+    veil: Veil,
+    /// Share of it that is taken away.
+    veil_share: f32,
     depth: Vec<f32>,
     focal: f64,
 }
@@ -39,9 +44,13 @@ pub struct ViewSample {
     pub clipped: bool,
 }
 
-/// The keyframes whose pictures can be decoded.
+/// The keyframes whose pictures can be decoded, freed of this share of veiling glare.
 #[must_use]
-pub fn views(context: &AssociationContext, keyframes: &[(&Keyframe, &RefinedView)]) -> Vec<TextureView> {
+pub fn views(
+    context: &AssociationContext,
+    keyframes: &[(&Keyframe, &RefinedView)],
+    veil_share: f64,
+) -> Vec<TextureView> {
     let view = |&(keyframe, view): &(&Keyframe, &RefinedView)| {
         let image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
         let points = camera_positions(context.mesh, &view.world_from_camera);
@@ -51,6 +60,8 @@ pub fn views(context: &AssociationContext, keyframes: &[(&Keyframe, &RefinedView
             camera_from_world: view.world_from_camera.inverse(),
             center: view.world_from_camera.translation.as_vec3(),
             exposure: Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32)),
+            veil: Veil::of(&image, &keyframe.camera, &context.table),
+            veil_share: veil_share as f32,
             depth: raster.depth,
             focal: 0.5 * (image.camera.fx.abs() + image.camera.fy.abs()),
             image,
@@ -99,7 +110,8 @@ impl TextureView {
         let inside = (border / tuning.border_px).min(1.0);
         let near = f64::from(context.median_edge) / footprint;
         let weight = (f64::from(cosine) * near * near * inside) as f32;
-        let color = Vec3::from_array(sample.color) * self.exposure;
+        let veil = self.veil.at(u, v) * self.veil_share;
+        let color = veil::without(Vec3::from_array(sample.color), veil) * self.exposure;
         Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
     }
 }

@@ -7,6 +7,8 @@ section! {
     FactorisationTuning = "factorisation" {
         /// Lamps and emitting surfaces are looked for where distant light does not explain the surface. Source: the light so far needs an answer within a second.
         near_light: bool = true, [()], "", "";
+        /// Veiling glare is looked for, and taken out of the colours. Source: the light so far needs an answer within a second.
+        veil: bool = true, [()], "", "";
         /// Albedo of every vertex before anything is known of it. Source: mid grey.
         initial_albedo: f64 = 0.5, [0.01..=1.0], "", "a0, Eq. (10)";
         /// Bands of the first solution, whose albedo only bounces light. Source: measured on the rendered scenes.
@@ -38,7 +40,7 @@ section! {
         /// Errors of a channel are relative to no less than this share of the brightest channel. Source: measured on the rendered scenes.
         dark_channel: f64 = 0.001, [0.0..=1.0], "", "";
         /// Gloss that was not detected, relative to the brightest albedo, in units of the relative error of a lit colour. Source: measured on the rendered scenes.
-        undetected_gloss: f64 = 0.5, [0.0..=100.0], "", "";
+        undetected_gloss: f64 = 0.25, [0.0..=100.0], "", "";
         /// Residuals beyond this many robust standard deviations get less weight (Huber).
         huber: f64 = 1.5, [0.1..=100.0], "σ", "";
         /// A weaker regularisation must lower the held-out error by this share to be chosen. Source: measured on the rendered scenes.

@@ -33,5 +33,9 @@ section! {
         concave_border_rad: f64 = 0.3, [1e-6..=3.0], "rad", "";
         /// Borders of fewer edges are strengthened: where two regions nearly touch in a point, images mix their colours. Source: measured on the rendered scenes.
         short_border_edges: f64 = 6.0, [0.0..=1000.0], "edges", "";
+        /// Difference of the logarithms of two albedos up to which they are one material, in the mean of the channels. Source: measured on the generated scenes.
+        material_level: f64 = 0.3, [0.0001..=10.0], "", "";
+        /// The same for what the channels differ from their mean by, as a length. Source: measured on the generated scenes.
+        material_chroma: f64 = 0.1, [0.0001..=10.0], "", "";
     }
 }
