@@ -14,6 +14,12 @@ section! {
         pair_loopback: bool = true, [()], "", "";
         /// File with the token of programs (`Authorization: Bearer …`), made with a random token if it is missing; empty = programs have no token.
         token_file: String = String::new(), [4096], "", "";
+        /// Certificate of the web page (PEM; the chain, the box's own first): with it, everything goes through TLS; empty = in clear.
+        certificate_file: String = String::new(), [4096], "", "";
+        /// Private key of that certificate (PEM, without a password).
+        key_file: String = String::new(), [4096], "", "";
+        /// In every network that the box serves, its page is announced by mDNS as `lumiscan-<serial of the Kinect>.local`.
+        announce: bool = true, [()], "", "";
         /// Further host names of the box, separated by commas. Requests under names that are neither these nor the box's own are refused.
         names: String = String::new(), [1024], "", "";
         /// Largest number of connections; a tenth of a second without a request makes one give way to a new one when all are taken.

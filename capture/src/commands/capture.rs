@@ -61,7 +61,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
             board: &board,
             orders: &orders,
             stop: &stop,
-            hub: page.as_ref().map(Service::hub),
+            page: page.as_ref(),
             reporter,
             last_scan_failed: Cell::new(false),
         };

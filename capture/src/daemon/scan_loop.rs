@@ -15,7 +15,7 @@ use crate::orders::Orders;
 use crate::pipeline::{self, Job};
 use crate::publish::{self, Published};
 use crate::report::Reporter;
-use crate::serve::live::hub::Hub;
+use crate::serve::service::Service;
 use crate::sources::motion::Motion;
 use crate::sources::pairs::Pairs;
 use crate::sources::sensor;
@@ -49,7 +49,7 @@ pub struct Daemon<'a> {
     /// Signals of the service manager.
     pub stop: &'a Stop,
     /// Shows the scan to whoever watches.
-    pub hub: Option<&'a Hub>,
+    pub page: Option<&'a Service>,
     /// Log.
     pub reporter: &'a Reporter,
     /// The last scan ended with an error, which the LED shows until the next one begins.
@@ -98,6 +98,7 @@ impl Daemon<'_> {
                     let found = kinect.found();
                     let name = format!("{} {}", found.model.name(), found.serial);
                     tracing::info!("{name} is ready");
+                    self.page.inspect(|page| page.set_serial(&found.serial));
                     self.board.set(|s| s.sensor = Some(name));
                     kinect.set_led(if self.last_scan_failed.get() { Led::Error } else { Led::Ready });
                     self.orders.clear();
@@ -201,7 +202,7 @@ impl Daemon<'_> {
             config: self.config,
             board: Some(self.board),
             orders: Some(self.orders),
-            hub: self.hub,
+            hub: self.page.map(Service::hub),
             paced: false,
         };
         // A signal ends the capture; what was captured is still fused and written.

@@ -22,6 +22,8 @@ const TOKEN_LETTERS: usize = 32;
 /// Pairing codes that are valid at a time, and browsers that are remembered; the oldest give way.
 const CODES: usize = 8;
 const BROWSERS: usize = 32;
+/// Names of the box.
+const NAMES: usize = 64;
 /// Time that a wrong code or token costs. Wrong guesses of all clients wait for each other.
 const GUESS: Duration = Duration::from_secs(1);
 
@@ -36,7 +38,7 @@ pub enum Standing {
 
 /// The secrets, and who knows them.
 pub struct Access {
-    names: Vec<String>,
+    names: Mutex<Vec<String>>,
     pair_loopback: bool,
     program: Option<String>,
     codes: Mutex<Vec<String>>,
@@ -61,7 +63,7 @@ impl Access {
         let known = file.as_ref().and_then(|f| std::fs::read_to_string(f).ok()).unwrap_or_default();
         let browsers = known.lines().filter(|l| l.len() == TOKEN_LETTERS).take(BROWSERS).map(Into::into).collect();
         Ok(Self {
-            names,
+            names: Mutex::new(names),
             pair_loopback,
             program,
             codes: Mutex::default(),
@@ -69,6 +71,13 @@ impl Access {
             file,
             guessing: Mutex::default(),
         })
+    }
+
+    /// The box is reached under this name, too.
+    pub fn add_name(&self, name: &str) {
+        let mut names = lock(&self.names);
+        names.retain(|n| n != name);
+        push(&mut names, name.to_owned(), NAMES);
     }
 
     /// A new pairing code.
@@ -141,7 +150,7 @@ impl Access {
             None => host.rsplit_once(':').map_or(host, |(name, _)| name),
         };
         let name = name.trim_end_matches('.').to_ascii_lowercase();
-        name.parse::<IpAddr>().is_ok() || name == "localhost" || self.names.contains(&name)
+        name.parse::<IpAddr>().is_ok() || name == "localhost" || lock(&self.names).contains(&name)
     }
 
     /// True if a request may change something: one of a browser must come from a page of ours.

@@ -14,6 +14,8 @@ use std::sync::Arc;
 pub struct Context {
     /// Who may do what.
     pub access: Access,
+    /// `https` with a certificate, `http` without.
+    pub scheme: &'static str,
     /// The scan in progress.
     pub hub: Arc<Hub>,
     /// The state of the box.

@@ -9,6 +9,7 @@
 //! `capture/API.md` describes the interface. The page uses nothing else.
 
 mod access;
+mod announcement;
 mod api;
 mod context;
 mod http;

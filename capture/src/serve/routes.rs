@@ -88,7 +88,11 @@ fn page(name: &str) -> Response {
 
 fn pair(context: &Context, code: &str) -> Response {
     match context.access.pair(code) {
-        Ok(Some(cookie)) => Response::redirect("/").with("Set-Cookie", cookie),
+        Ok(Some(cookie)) => {
+            // Never sent in clear, where it need not be.
+            let secure = if context.scheme == "https" { "; Secure" } else { "" };
+            Response::redirect("/").with("Set-Cookie", format!("{cookie}{secure}"))
+        }
         Ok(None) => pairing_page(403),
         Err(e) => Response::error(500, &e.to_string()),
     }

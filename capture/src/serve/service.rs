@@ -4,7 +4,9 @@ use crate::failure::Failure;
 use crate::orders::Orders;
 use crate::report::Reporter;
 use crate::serve::access::Access;
+use crate::serve::announcement::{Announcement, host_name};
 use crate::serve::context::Context;
+use crate::serve::http::certificate;
 use crate::serve::http::server::Server;
 use crate::serve::jobs::Jobs;
 use crate::serve::light::worker;
@@ -41,22 +43,25 @@ pub struct Shown<'a> {
 pub struct Service {
     context: Arc<Context>,
     server: Server,
+    announcement: Option<Announcement>,
 }
 
 impl Service {
     /// Starts it.
     ///
     /// # Errors
-    /// The address is taken, or the token file cannot be used.
+    /// The address is taken, or the token file or the certificate cannot be used.
     pub fn start(address: SocketAddr, shown: Shown<'_>) -> Result<Self, Failure> {
         let serve = &shown.config.serve;
         let mut names: Vec<String> = serve.names.split(',').map(|n| n.trim().to_ascii_lowercase()).collect();
         let host = rustix::system::uname().nodename().to_string_lossy().to_ascii_lowercase();
         names.extend([format!("{host}.local"), host]);
         names.retain(|n| !n.is_empty());
+        let tls = certificate::tls(serve)?;
         let token = (!serve.token_file.is_empty()).then(|| Path::new(&serve.token_file));
         let context = Arc::new(Context {
             access: Access::new(names, serve.pair_loopback, token, shown.browsers)?,
+            scheme: if tls.is_some() { "https" } else { "http" },
             hub: Arc::new(Hub::new(serve)),
             board: Arc::clone(shown.board),
             orders: shown.orders.clone(),
@@ -70,8 +75,14 @@ impl Service {
         }
         let answering = Arc::clone(&context);
         let handler = Arc::new(move |asked| routes::answer(&answering, asked));
-        let server = Server::start(address, serve.max_connections as usize, handler)?;
-        Ok(Self { context, server })
+        let server = Server::start(address, serve.max_connections as usize, tls, handler)?;
+        // The loopback address is no other machine's business.
+        let announced = serve.announce && !address.ip().is_loopback();
+        let announcement = announced.then(|| Announcement::start(address.ip())).transpose().unwrap_or_else(|e| {
+            tracing::warn!("the page is not announced in the network: {e}");
+            None
+        });
+        Ok(Self { context, server, announcement })
     }
 
     /// What clients see.
@@ -80,12 +91,22 @@ impl Service {
         &self.context.hub
     }
 
+    /// The box is known by the serial number of its sensor from now on.
+    pub fn set_serial(&self, serial: &str) {
+        let Some(announcement) = &self.announcement else { return };
+        let host = host_name(serial);
+        self.context.access.add_name(&host);
+        announcement.set(&host);
+        tracing::info!("the page is at {}://{host}:{}/, too", self.context.scheme, self.server.address().port());
+    }
+
     /// An address that pairs one browser.
     ///
     /// # Errors
     /// The system has no random numbers.
     pub fn pairing_address(&self) -> Result<String, Failure> {
-        Ok(format!("http://{}/?code={}", reachable(self.server.address()), self.context.access.new_code()?))
+        let (scheme, address) = (self.context.scheme, reachable(self.server.address()));
+        Ok(format!("{scheme}://{address}/?code={}", self.context.access.new_code()?))
     }
 
     /// Prints the address on stderr, as a QR code, too, where that is of use.

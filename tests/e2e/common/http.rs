@@ -71,8 +71,8 @@ impl Served {
         let began = Instant::now();
         let address = loop {
             let text = stderr.lock().expect("no panic").clone();
-            if let Some(line) = text.lines().find_map(|l| l.strip_prefix("serving http://")) {
-                break line.to_owned();
+            if let Some((_, address)) = text.lines().find_map(|l| l.strip_prefix("serving ")?.split_once("://")) {
+                break address.to_owned();
             }
             assert!(began.elapsed() < PATIENCE, "no address: {text}");
             std::thread::sleep(Duration::from_millis(20));

@@ -77,7 +77,7 @@ pub fn pair(context: &Context, request: &Request) -> Response {
     let Some(host) = request.header("host") else { return Response::error(400, "there is no Host header") };
     match context.access.new_code() {
         Ok(code) => {
-            let url = format!("http://{host}/?code={code}");
+            let url = format!("{}://{host}/?code={code}", context.scheme);
             Response::json(&serde_json::json!({ "qr": qr::svg(&url), "url": url }))
         }
         Err(e) => Response::error(500, &e.to_string()),

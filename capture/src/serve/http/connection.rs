@@ -1,9 +1,12 @@
 //! One connection: requests in, answers out, each within its time.
 
+use crate::serve::http::link::Link;
 use crate::serve::http::request::{HEAD_BYTES, Method, Refused, Request};
 use crate::serve::http::response::Response;
-use std::io::{ErrorKind, Read};
+use rustls::ServerConfig;
+use std::io::ErrorKind;
 use std::net::{IpAddr, TcpStream};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Longest time from the first byte of a head to its last one, and of a body.
@@ -31,37 +34,47 @@ pub struct Asked {
 /// # Errors
 /// The client is gone, or too slow.
 pub fn serve(
-    mut stream: TcpStream,
+    stream: TcpStream,
     peer: IpAddr,
+    tls: Option<&Arc<ServerConfig>>,
     answer: impl Fn(Asked) -> Response,
     idle: impl Fn(bool),
 ) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(STALL_TIME))?;
+    let mut link = match tls {
+        None => Link::clear(stream),
+        Some(tls) if Link::begins_tls(&stream, Instant::now() + IDLE_TIME)? => Link::tls(stream, tls)?,
+        Some(_) => {
+            let mut link = Link::clear(stream);
+            Response::error(400, "this page is encrypted: open it with https://").write(&mut link, false, false)?;
+            return drain(&mut link);
+        }
+    };
     let mut received = Vec::new();
     for _ in 0..REQUESTS {
         idle(true);
-        let request = match read_head(&mut stream, &mut received)? {
+        let request = match read_head(&mut link, &mut received)? {
             Some(Ok(request)) => request,
             Some(Err(Refused(status))) => {
-                Response::error(status, "the request is malformed or too large").write(&mut stream, false, false)?;
-                return drain(&mut stream);
+                Response::error(status, "the request is malformed or too large").write(&mut link, false, false)?;
+                return drain(&mut link);
             }
             None => return Ok(()),
         };
-        let body = read_body(&mut stream, &mut received, request.body_bytes)?;
+        let body = read_body(&mut link, &mut received, request.body_bytes)?;
         idle(false);
         let (keep_alive, head_only) = (request.keep_alive, request.method == Method::Head);
         let response = answer(Asked { request, body, peer });
-        if !response.write(&mut stream, head_only, keep_alive)? {
-            return drain(&mut stream);
+        if !response.write(&mut link, head_only, keep_alive)? {
+            return drain(&mut link);
         }
     }
     Ok(())
 }
 
 /// The next request; `None` at the end of the connection. What was received beyond it stays in `received`.
-fn read_head(stream: &mut TcpStream, received: &mut Vec<u8>) -> std::io::Result<Option<Result<Request, Refused>>> {
+fn read_head(link: &mut Link, received: &mut Vec<u8>) -> std::io::Result<Option<Result<Request, Refused>>> {
     let mut deadline = Instant::now() + if received.is_empty() { IDLE_TIME } else { HEAD_TIME };
     loop {
         match Request::parse(received) {
@@ -73,7 +86,7 @@ fn read_head(stream: &mut TcpStream, received: &mut Vec<u8>) -> std::io::Result<
             Err(refused) => return Ok(Some(Err(refused))),
         }
         let first = received.is_empty();
-        if receive(stream, received, HEAD_BYTES, deadline)? == 0 {
+        if receive(link, received, HEAD_BYTES, deadline)? == 0 {
             return Ok(None);
         }
         if first {
@@ -82,10 +95,10 @@ fn read_head(stream: &mut TcpStream, received: &mut Vec<u8>) -> std::io::Result<
     }
 }
 
-fn read_body(stream: &mut TcpStream, received: &mut Vec<u8>, bytes: usize) -> std::io::Result<Vec<u8>> {
+fn read_body(link: &mut Link, received: &mut Vec<u8>, bytes: usize) -> std::io::Result<Vec<u8>> {
     let deadline = Instant::now() + HEAD_TIME;
     while received.len() < bytes {
-        if receive(stream, received, bytes, deadline)? == 0 {
+        if receive(link, received, bytes, deadline)? == 0 {
             return Err(ErrorKind::UnexpectedEof.into());
         }
     }
@@ -93,24 +106,19 @@ fn read_body(stream: &mut TcpStream, received: &mut Vec<u8>, bytes: usize) -> st
 }
 
 /// Receives what is there, up to `most` bytes in all, before the deadline.
-fn receive(stream: &mut TcpStream, received: &mut Vec<u8>, most: usize, deadline: Instant) -> std::io::Result<usize> {
-    let left = deadline.saturating_duration_since(Instant::now());
-    if left.is_zero() {
-        return Err(ErrorKind::TimedOut.into());
-    }
-    stream.set_read_timeout(Some(left))?;
+fn receive(link: &mut Link, received: &mut Vec<u8>, most: usize, deadline: Instant) -> std::io::Result<usize> {
     let mut buffer = [0; 2048];
     let room = most.saturating_sub(received.len()).clamp(1, buffer.len());
-    let n = stream.read(&mut buffer[..room])?;
+    let n = link.read_before(deadline, &mut buffer[..room])?;
     received.extend_from_slice(&buffer[..n]);
     Ok(n)
 }
 
 /// Lets the client read the last answer: closing with unread input would take it back.
-fn drain(stream: &mut TcpStream) -> std::io::Result<()> {
-    stream.shutdown(std::net::Shutdown::Write)?;
+fn drain(link: &mut Link) -> std::io::Result<()> {
+    link.finish()?;
     let deadline = Instant::now() + Duration::from_millis(500);
     let mut rest = Vec::new();
-    while receive(stream, &mut rest, HEAD_BYTES, deadline)? > 0 && rest.len() < HEAD_BYTES {}
+    while receive(link, &mut rest, HEAD_BYTES, deadline)? > 0 && rest.len() < HEAD_BYTES {}
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Answers to requests, and how they are written.
 
+use crate::serve::http::link::Link;
 use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::sync::Arc;
 
 /// What may run and load in a page of ours: its own files, nothing inline, nothing from elsewhere.
@@ -11,7 +11,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const CHUNK: usize = 64 << 10;
 
 /// Writes a stream of unknown length; returns when the client is gone or the server ends.
-pub type Streamer = Box<dyn FnOnce(&mut TcpStream) -> std::io::Result<()> + Send>;
+pub type Streamer = Box<dyn FnOnce(&mut Link) -> std::io::Result<()> + Send>;
 
 /// What follows the head.
 pub enum Body {
@@ -98,7 +98,7 @@ impl Response {
     ///
     /// # Errors
     /// The client is gone, or does not read.
-    pub fn write(self, stream: &mut TcpStream, head_only: bool, keep_alive: bool) -> std::io::Result<bool> {
+    pub fn write(self, link: &mut Link, head_only: bool, keep_alive: bool) -> std::io::Result<bool> {
         let length = self.length();
         let keep_alive = keep_alive && length.is_some();
         let mut head = format!("HTTP/1.1 {} {}\r\n", self.status, reason(self.status));
@@ -121,17 +121,17 @@ impl Response {
         }
         head += if keep_alive { "Connection: keep-alive\r\n\r\n" } else { "Connection: close\r\n\r\n" };
         match self.body {
-            _ if head_only => stream.write_all(head.as_bytes())?,
+            _ if head_only => link.write_all(head.as_bytes())?,
             // In one write, so that a small answer is one packet.
-            Body::Bytes(bytes) => stream.write_all(&[head.as_bytes(), &bytes].concat())?,
-            Body::Shared(bytes) => stream.write_all(&[head.as_bytes(), &bytes].concat())?,
+            Body::Bytes(bytes) => link.write_all(&[head.as_bytes(), &bytes].concat())?,
+            Body::Shared(bytes) => link.write_all(&[head.as_bytes(), &bytes].concat())?,
             Body::Reader(reader, n) => {
-                stream.write_all(head.as_bytes())?;
-                copy(reader, n, stream)?;
+                link.write_all(head.as_bytes())?;
+                copy(reader, n, link)?;
             }
             Body::Stream(streamer) => {
-                stream.write_all(head.as_bytes())?;
-                streamer(stream)?;
+                link.write_all(head.as_bytes())?;
+                streamer(link)?;
             }
         }
         Ok(keep_alive)
@@ -139,7 +139,7 @@ impl Response {
 }
 
 /// Copies exactly `n` bytes; an input that is shorter breaks the connection, since its length was announced.
-fn copy(mut reader: Box<dyn Read + Send>, n: u64, stream: &mut TcpStream) -> std::io::Result<()> {
+fn copy(mut reader: Box<dyn Read + Send>, n: u64, link: &mut Link) -> std::io::Result<()> {
     let mut buffer = vec![0; CHUNK.min(n as usize).max(1)];
     let mut left = n;
     while left > 0 {
@@ -148,7 +148,7 @@ fn copy(mut reader: Box<dyn Read + Send>, n: u64, stream: &mut TcpStream) -> std
         if got == 0 {
             return Err(std::io::ErrorKind::UnexpectedEof.into());
         }
-        stream.write_all(&buffer[..got])?;
+        link.write_all(&buffer[..got])?;
         left -= got as u64;
     }
     Ok(())

@@ -2,8 +2,10 @@
 
 use crate::failure::Failure;
 use crate::serve::http::connection::{self, Asked};
+use crate::serve::http::link::Link;
 use crate::serve::http::response::Response;
 use crate::serve::http::slots::Slots;
+use rustls::ServerConfig;
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -29,11 +31,16 @@ pub struct Server {
 }
 
 impl Server {
-    /// Listens, and answers in threads of its own.
+    /// Listens, and answers in threads of its own; through TLS if there is a certificate.
     ///
     /// # Errors
     /// The address is taken, or not one of this machine.
-    pub fn start(address: SocketAddr, most: usize, handler: Handler) -> Result<Self, Failure> {
+    pub fn start(
+        address: SocketAddr,
+        most: usize,
+        tls: Option<Arc<ServerConfig>>,
+        handler: Handler,
+    ) -> Result<Self, Failure> {
         let cannot = |e: std::io::Error| {
             Failure::Usage(format!("{address}: {e}; choose another address or port for the web page with --serve"))
         };
@@ -42,7 +49,7 @@ impl Server {
         let (ended, slots) = (Arc::new(AtomicBool::new(false)), Arc::new(Slots::new(most)));
         let acceptor = {
             let (ended, slots) = (Arc::clone(&ended), Arc::clone(&slots));
-            let work = move || accept(&listener, &ended, &slots, &handler);
+            let work = move || accept(&listener, &ended, &slots, tls.as_ref(), &handler);
             std::thread::Builder::new().name("serve".into()).stack_size(STACK).spawn(work).map_err(cannot)?
         };
         Ok(Self { address, ended, slots, acceptor: Some(acceptor) })
@@ -71,12 +78,18 @@ impl Drop for Server {
     }
 }
 
-fn accept(listener: &TcpListener, ended: &AtomicBool, slots: &Arc<Slots>, handler: &Handler) {
+fn accept(
+    listener: &TcpListener,
+    ended: &AtomicBool,
+    slots: &Arc<Slots>,
+    tls: Option<&Arc<ServerConfig>>,
+    handler: &Handler,
+) {
     // Fails only where the system does not allow it; the threads that are started from here have the same niceness.
     let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), NICE);
     while !ended.load(Ordering::Acquire) {
         match listener.accept() {
-            Ok((stream, peer)) if !ended.load(Ordering::Acquire) => admit(stream, peer, slots, handler),
+            Ok((stream, peer)) if !ended.load(Ordering::Acquire) => admit(stream, peer, slots, tls, handler),
             Ok(_) => {}
             Err(e) => {
                 // No file descriptor is left, or the client has gone again.
@@ -87,21 +100,24 @@ fn accept(listener: &TcpListener, ended: &AtomicBool, slots: &Arc<Slots>, handle
     }
 }
 
-fn admit(mut stream: TcpStream, peer: SocketAddr, slots: &Arc<Slots>, handler: &Handler) {
+fn admit(stream: TcpStream, peer: SocketAddr, slots: &Arc<Slots>, tls: Option<&Arc<ServerConfig>>, handler: &Handler) {
     let peer = peer.ip().to_canonical();
     let Some(id) = slots.take(&stream, peer) else {
-        let _ = stream.set_write_timeout(Some(Duration::from_millis(50)));
-        let busy = Response::error(503, "too many connections; try again").with("Retry-After", "1");
-        let _ = busy.write(&mut stream, false, false);
+        // There is no time for a handshake.
+        if tls.is_none() {
+            let _ = stream.set_write_timeout(Some(Duration::from_millis(50)));
+            let busy = Response::error(503, "too many connections; try again").with("Retry-After", "1");
+            let _ = busy.write(&mut Link::clear(stream), false, false);
+        }
         return;
     };
     let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER);
-    let (threads_slots, handler) = (Arc::clone(slots), Arc::clone(handler));
+    let (threads_slots, handler, tls) = (Arc::clone(slots), Arc::clone(handler), tls.cloned());
     let work = move || {
         let slots = threads_slots;
         // A panic ends this connection alone.
         let served = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-            connection::serve(stream, peer, |asked| handler(asked), |idle| slots.set_idle(id, idle))
+            connection::serve(stream, peer, tls.as_ref(), |asked| handler(asked), |idle| slots.set_idle(id, idle))
         }));
         slots.release(id);
         match served {
