@@ -1,22 +1,22 @@
 //! The estimator as a child process: this executable again with `estimate`, so that a crash or an out-of-memory kill of the
 //! estimator never ends the capture.
 
+use crate::child_process::{IDLE, Waited, relay, wait};
 use crate::cli::Effort;
 use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome};
 use crate::failure::{Failure, Retry};
 use crate::memory;
-use crate::report::{Reporter, Step};
+use crate::report::Reporter;
 use crate::stop::Stop;
 use estimator::Reference;
 use recordings::result::Estimate;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufReader, Read};
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-use tracing::Level;
 
 /// The line with which `lumiscan --json estimate` ends.
 #[derive(Debug, Serialize, Deserialize)]
@@ -77,14 +77,8 @@ impl Files {
     }
 }
 
-/// Time between two checks of the child.
-const POLL: Duration = Duration::from_millis(20);
-/// Last lines of its stderr that the error message quotes.
-const KEPT_LINES: usize = 4;
 /// The child is killed after this many budgets plus [`KILL_AFTER`].
 const KILL_AFTER_BUDGETS: f64 = 4.0;
-/// Niceness of what must never take time from the scan.
-pub const IDLE: i32 = 19;
 /// A coarse estimate is killed after this time.
 const COARSE_LIMIT: Duration = Duration::from_secs(60);
 /// See [`KILL_AFTER_BUDGETS`].
@@ -145,7 +139,7 @@ pub fn estimate(
         return Err(Failure::Internal("the estimator's output could not be read".into()));
     };
     std::thread::scope(|scope| {
-        let relay = scope.spawn(|| relay(BufReader::new(stderr), reporter));
+        let relay = scope.spawn(|| relay(BufReader::new(stderr), "estimator", reporter));
         let answer = scope.spawn(|| {
             let mut text = String::new();
             BufReader::new(stdout).read_to_string(&mut text).map(|_| text).unwrap_or_default()
@@ -206,73 +200,6 @@ fn ended(waited: &Waited, answer: &str, last_lines: &VecDeque<String>, limit_mb:
     Ended { entry, failure }
 }
 
-/// How a child ended.
-struct Waited {
-    status: ExitStatus,
-    /// It was killed here, after this time.
-    killed_after: Option<Duration>,
-    /// Meanwhile the system killed a process for want of memory.
-    is_out_of_memory: bool,
-}
-
-/// Waits for the child to end; kills it when a signal comes or `limit` has passed.
-fn wait(child: &mut Child, stop: &Stop, limit: Option<Duration>) -> Result<Waited, Failure> {
-    let began = Instant::now();
-    let mut killed_after = None;
-    loop {
-        match child.try_wait() {
-            Ok(Some(status)) => return Ok(Waited { status, killed_after, is_out_of_memory: false }),
-            Ok(None) => {}
-            Err(e) => return Err(Failure::Internal(format!("waiting for the estimator: {e}"))),
-        }
-        if let Err(stopped) = stop.check() {
-            let _ = child.kill();
-            let _ = child.wait();
-            return Err(stopped);
-        }
-        if limit.is_some_and(|p| began.elapsed() > p) {
-            // It may have ended just now; its status is read in the next turn.
-            let _ = child.kill();
-            killed_after.get_or_insert(began.elapsed());
-        }
-        std::thread::sleep(POLL);
-    }
-}
-
-/// Shows the child's progress as this process's own and forwards its log lines; returns its last warnings and errors.
-fn relay(lines: impl BufRead, reporter: &Reporter) -> VecDeque<String> {
-    #[derive(Deserialize)]
-    struct LogLine {
-        level: String,
-        message: String,
-    }
-    let mut last = VecDeque::new();
-    for line in lines.lines().map_while(Result::ok) {
-        if let Ok(step) = serde_json::from_str::<Step>(&line) {
-            reporter.step(&step);
-            continue;
-        }
-        let (level, message) = match serde_json::from_str::<LogLine>(&line) {
-            Ok(l) => (l.level.parse().unwrap_or(Level::WARN), l.message),
-            Err(_) => (Level::WARN, line),
-        };
-        match level {
-            // Part of the failure that is returned.
-            Level::ERROR => {}
-            Level::WARN => tracing::warn!("estimator: {message}"),
-            Level::INFO => tracing::info!("estimator: {message}"),
-            _ => tracing::debug!("estimator: {message}"),
-        }
-        if level <= Level::WARN {
-            last.push_back(message);
-            if last.len() > KEPT_LINES {
-                last.pop_front();
-            }
-        }
-    }
-    last
-}
-
 /// Why the child ended without success.
 fn failure(waited: &Waited, last_lines: &VecDeque<String>, limit_mb: Option<u32>) -> Failure {
     let Waited { status, killed_after, is_out_of_memory } = waited;
@@ -293,20 +220,4 @@ fn failure(waited: &Waited, last_lines: &VecDeque<String>, limit_mb: Option<u32>
     // The system's out-of-memory killer sends SIGKILL, as others may; an allocation that the limit refuses aborts.
     let is_killed = *is_out_of_memory && status.signal() == Some(signal_hook::consts::SIGKILL);
     if is_killed || message.contains("memory allocation of") { Failure::Memory(text) } else { Failure::Internal(text) }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::wait;
-    use crate::stop::Stop;
-    use std::process::Command;
-    use std::time::Duration;
-
-    #[test]
-    #[cfg(unix)]
-    fn a_child_that_never_ends_is_ended() {
-        let mut child = Command::new("sleep").arg("1000").spawn().unwrap();
-        let waited = wait(&mut child, &Stop::default(), Some(Duration::from_millis(50))).unwrap();
-        assert!(!waited.status.success() && waited.killed_after.is_some());
-    }
 }

@@ -1,5 +1,6 @@
 //! The `lumiscan` executable.
 
+mod child_process;
 mod cli;
 mod commands;
 mod daemon;

@@ -36,7 +36,7 @@ section! {
         good_weight: f64 = 12.0, [1.0..=1000.0], "frames", "";
         /// While someone watches a scan, the light found so far is estimated every few seconds, in a process of the lowest priority.
         light: bool = true, [()], "", "";
-        /// Time between two estimates of the light so far.
+        /// Time between two estimates of the light so far; in the first seconds of a scan they come sooner.
         light_interval_s: f64 = 3.0, [0.5..=600.0], "s", "";
         /// Largest number of vertices of such an estimate.
         light_vertices: u32 = 6000, [200..=20000], "vertices", "";

@@ -5,6 +5,7 @@ use crate::report::Reporter;
 use crate::serve::access::Access;
 use crate::serve::jobs::Jobs;
 use crate::serve::live::hub::Hub;
+use crate::serve::render::desk::Desk;
 use crate::status::Board;
 use firmware_config::Config;
 use std::path::PathBuf;
@@ -30,4 +31,6 @@ pub struct Context {
     pub reporter: Reporter,
     /// Work on finished scans.
     pub jobs: Jobs,
+    /// Files and picture of what is rendered.
+    pub desk: Desk,
 }

@@ -1,29 +1,59 @@
 //! Work on finished scans, one at a time, beside the scan in progress.
 
+use crate::child_process::{IDLE, relay, wait};
 use crate::cli::{Effort, QualityPoint};
+use crate::failure::Failure;
 use crate::publish;
 use crate::report::{Reporter, Step};
 use crate::stop::Stop;
 use serde::Serialize;
+use std::ffi::OsString;
+use std::io::BufReader;
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-/// A scan that is estimated again.
+/// A picture that takes longer is given up.
+const RENDER_LIMIT: Duration = Duration::from_secs(600);
+
+/// What is done.
 #[derive(Debug, Clone)]
-pub struct Job {
-    /// The scan's id.
-    pub scan: String,
-    /// At this quality.
-    pub quality: QualityPoint,
-    /// Within this time.
-    pub budget_s: f64,
+pub enum Work {
+    /// The scan in this folder is estimated again, at this quality, within so many seconds.
+    Estimate(PathBuf, QualityPoint, f64),
+    /// A picture is rendered: arguments of `lumiscan render`, and memory in MB.
+    Render(Vec<OsString>, u32),
+}
+
+impl Work {
+    fn name(&self) -> &'static str {
+        match self {
+            Self::Estimate(..) => "estimate",
+            Self::Render(..) => "render",
+        }
+    }
+
+    fn run(&self, stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
+        match self {
+            Self::Estimate(folder, quality, budget) => {
+                let effort =
+                    Effort { budget: *budget, rounds: None, quality: Some(*quality), threads: None, memory: None };
+                publish::again(folder, &effort, stop, reporter)
+            }
+            Self::Render(arguments, memory_mb) => render(arguments, *memory_mb, stop, reporter),
+        }
+    }
 }
 
 /// How far it is.
 #[derive(Debug, Clone, Serialize)]
 pub struct Progress {
+    /// The scan's id.
     scan: String,
-    quality: &'static str,
+    /// `estimate` or `render`.
+    work: &'static str,
+    quality: Option<&'static str>,
     step: Option<Step>,
     /// True when it is over.
     done: bool,
@@ -32,7 +62,7 @@ pub struct Progress {
 
 #[derive(Default)]
 struct Current {
-    job: Option<(Job, Reporter)>,
+    job: Option<(String, Work, Reporter)>,
     done: bool,
     problem: Option<String>,
 }
@@ -55,10 +85,11 @@ impl Jobs {
     #[must_use]
     pub fn now(&self) -> Option<Progress> {
         let current = self.lock();
-        let (job, reporter) = current.job.as_ref()?;
+        let (scan, work, reporter) = current.job.as_ref()?;
         Some(Progress {
-            scan: job.scan.clone(),
-            quality: job.quality.name(),
+            scan: scan.clone(),
+            work: work.name(),
+            quality: if let Work::Estimate(_, quality, _) = work { Some(quality.name()) } else { None },
             step: reporter.current(),
             done: current.done,
             problem: current.problem.clone(),
@@ -69,30 +100,35 @@ impl Jobs {
     #[must_use]
     pub fn works_on(&self, id: &str) -> bool {
         let current = self.lock();
-        !current.done && current.job.as_ref().is_some_and(|(job, _)| job.scan == id)
+        !current.done && current.job.as_ref().is_some_and(|(scan, ..)| scan == id)
     }
 
-    /// Starts a job.
+    /// True while a job runs.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        let current = self.lock();
+        !current.done && current.job.is_some()
+    }
+
+    /// Starts work on the scan of this id.
     ///
     /// # Errors
-    /// Another one runs.
-    pub fn start(&self, folder: PathBuf, job: Job) -> Result<(), String> {
+    /// Another job runs, or `prepare` says why there is none.
+    pub fn start(&self, scan: &str, prepare: impl FnOnce() -> Result<Work, String>) -> Result<(), String> {
         let mut current = self.lock();
-        if current.job.is_some() && !current.done {
-            return Err("another scan is being estimated; wait until that is done".into());
+        if let Some((other, work, _)) = current.job.as_ref().filter(|_| !current.done) {
+            return Err(format!("the box is busy with {other} ({}); wait until that is done", work.name()));
         }
-        let reporter = Reporter::silent();
-        let effort =
-            Effort { budget: job.budget_s, rounds: None, quality: Some(job.quality), threads: None, memory: None };
-        *current = Current { job: Some((job, reporter.clone())), ..Current::default() };
+        let (work, reporter) = (prepare()?, Reporter::silent());
+        *current = Current { job: Some((scan.to_owned(), work.clone(), reporter.clone())), ..Current::default() };
         drop(current);
         let jobs = self.clone();
-        let work = move || {
-            let outcome = publish::again(&folder, &effort, &jobs.stop, &reporter);
+        let run = move || {
+            let outcome = work.run(&jobs.stop, &reporter);
             let mut current = jobs.lock();
             (current.done, current.problem) = (true, outcome.err().map(|e| e.to_string()));
         };
-        std::thread::Builder::new().name("job".into()).spawn(work).map(drop).map_err(|e| {
+        std::thread::Builder::new().name("job".into()).spawn(run).map(drop).map_err(|e| {
             self.lock().done = true;
             e.to_string()
         })
@@ -100,5 +136,42 @@ impl Jobs {
 
     fn lock(&self) -> MutexGuard<'_, Current> {
         self.current.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Renders a picture in a process of its own, at the lowest priority.
+fn render(arguments: &[OsString], memory_mb: u32, stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
+    let cannot = |e: std::io::Error| Failure::Internal(format!("the renderer could not be started: {e}"));
+    let mut child = Command::new(std::env::current_exe().map_err(cannot)?)
+        .args(["--json", "render"])
+        .args(arguments)
+        .args(["--memory", &memory_mb.to_string(), "--parent", &std::process::id().to_string()])
+        .env("RUST_BACKTRACE", "0")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(cannot)?;
+    if let Err(e) = rustix::process::setpriority_process(Some(rustix::process::Pid::from_child(&child)), IDLE) {
+        tracing::debug!("priority of the renderer: {e}");
+    }
+    let stderr = child.stderr.take();
+    let (waited, last) = std::thread::scope(|scope| {
+        let relay = scope.spawn(|| stderr.map(|e| relay(BufReader::new(e), "render", reporter)).unwrap_or_default());
+        let waited = wait(&mut child, stop, Some(RENDER_LIMIT));
+        (waited, relay.join().unwrap_or_default())
+    });
+    let waited = waited?;
+    let said = last.iter().map(String::as_str).collect::<Vec<_>>().join(" · ");
+    match (waited.status.success(), waited.killed_after) {
+        (true, _) => Ok(()),
+        (false, Some(time)) => Err(Failure::Abandoned(format!(
+            "the picture was not ready after {:.0} s and was given up; make it smaller",
+            time.as_secs_f64()
+        ))),
+        (false, None) if said.contains("memory allocation of") => {
+            Err(Failure::Memory(format!("the picture needs more than {memory_mb} MB; make it smaller")))
+        }
+        (false, None) => Err(Failure::Internal(if said.is_empty() { waited.status.to_string() } else { said })),
     }
 }

@@ -17,5 +17,6 @@ mod jobs;
 mod light;
 pub mod live;
 mod qr;
+mod render;
 mod routes;
 pub mod service;

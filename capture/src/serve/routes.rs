@@ -1,7 +1,7 @@
 //! From a request to its answer: first who asks and from where, then what.
 
 use crate::serve::access::Access;
-use crate::serve::api::{device, files, live, scan, scans, status};
+use crate::serve::api::{device, files, live, render, scan, scans, status};
 use crate::serve::context::Context;
 use crate::serve::http::connection::Asked;
 use crate::serve::http::request::Method;
@@ -17,6 +17,9 @@ const PAIRING_POLICY: &str =
 const PAGES: &[(&str, &str, &str)] = &[
     ("", "text/html; charset=utf-8", include_str!("page/live.html")),
     ("scans", "text/html; charset=utf-8", include_str!("page/scans.html")),
+    ("render", "text/html; charset=utf-8", include_str!("page/render.html")),
+    ("render.js", "text/javascript; charset=utf-8", include_str!("page/render.js")),
+    ("ball.js", "text/javascript; charset=utf-8", include_str!("page/ball.js")),
     ("icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
     ("style.css", "text/css; charset=utf-8", include_str!("page/style.css")),
     ("live.js", "text/javascript; charset=utf-8", include_str!("page/live.js")),
@@ -65,6 +68,10 @@ pub fn answer(context: &Arc<Context>, asked: Asked) -> Response {
         (Method::Delete, ["api", "scans", id]) => scans::delete(context, id),
         (Method::Post, ["api", "scans", id, "name"]) => scans::rename(context, id, &body),
         (Method::Post, ["api", "scans", id, "estimate"]) => scans::estimate(context, id, &body),
+        (Method::Post, ["api", "scans", id, "render"]) => render::start(context, id, &body),
+        (Method::Get | Method::Head, ["api", "render.png"]) => render::picture(context),
+        (Method::Post, ["api", "render", "files", name]) => render::upload(context, &request, name, &body),
+        (Method::Delete, ["api", "render", "files"]) => render::clear(context),
         (Method::Get | Method::Head, ["api", "log"]) => Response::json(&context.reporter.log()),
         (Method::Get, ["api", "check"]) => device::check(context),
         (Method::Get | Method::Head, ["api", "settings"]) => device::settings(context),

@@ -11,6 +11,7 @@ use crate::serve::http::server::Server;
 use crate::serve::jobs::Jobs;
 use crate::serve::light::worker;
 use crate::serve::live::hub::Hub;
+use crate::serve::render::desk::Desk;
 use crate::serve::{qr, routes};
 use crate::status::Board;
 use crate::stop::Stop;
@@ -69,6 +70,7 @@ impl Service {
             config: shown.config.clone(),
             reporter: shown.reporter.clone(),
             jobs: Jobs::new(shown.stop),
+            desk: Desk::default(),
         });
         if serve.light {
             worker::start(&context.hub, shown.config, shown.stop);

@@ -21,12 +21,13 @@ use std::path::Path;
 const PAGE: &str = include_str!("viewer/page.html");
 const STYLE: &str = include_str!("viewer/style.css");
 /// Parts of the script, in order; they share one scope.
-const SCRIPT: [&str; 6] = [
+const SCRIPT: [&str; 7] = [
     include_str!("viewer/vector.js"),
     include_str!("viewer/light.js"),
     include_str!("viewer/object.js"),
     include_str!("viewer/reference.js"),
     include_str!("viewer/lamps.js"),
+    include_str!("viewer/shown.js"),
     include_str!("viewer/viewer.js"),
 ];
 

@@ -1,5 +1,6 @@
 //! The estimator in this process.
 
+use crate::child_process::end_with_parent;
 use crate::cli;
 use crate::commands::estimate::inputs::Inputs;
 use crate::commands::settings::use_threads;
@@ -70,19 +71,6 @@ pub fn run(args: &cli::Estimate, files: &Files, reporter: &Reporter) -> Result<E
     };
     entry.describe(&result);
     Ok(Ended { entry, failure })
-}
-
-/// Makes the system end this process with its parent, so that nobody works for a process that is gone.
-fn end_with_parent(parent: Option<u32>) -> Result<(), Failure> {
-    let Some(parent) = parent else { return Ok(()) };
-    #[cfg(target_os = "linux")]
-    {
-        let signal = Some(rustix::process::Signal::KILL);
-        rustix::process::set_parent_process_death_signal(signal).map_err(|e| Failure::Internal(e.to_string()))?;
-    }
-    // It may have ended before.
-    let is_parent = rustix::process::getppid().is_some_and(|id| id.as_raw_nonzero().get().unsigned_abs() == parent);
-    if is_parent { Ok(()) } else { Err(Failure::Internal(format!("the parent process {parent} has ended"))) }
 }
 
 /// A planned cut is a decision; a stage that had to be given up half-way is a failure.

@@ -1,5 +1,6 @@
 //! `lumiscan render`: inserts objects into a result, removes objects, renders it under another light.
 
+use crate::child_process::end_with_parent;
 use crate::cli::{RemovalTarget, Render};
 use crate::commands::files::find_scan;
 use crate::commands::output::print;
@@ -8,6 +9,7 @@ use crate::commands::render::sink::{Frame, Kind, Sink};
 use crate::commands::settings::load;
 use crate::commands::settings::use_threads;
 use crate::failure::Failure;
+use crate::memory;
 use crate::report::{Reporter, Step};
 use estimator::rays::RayScene;
 use estimator::render::change::{Changed, change};
@@ -41,6 +43,8 @@ impl From<RenderError> for Failure {
 
 /// Runs the command.
 pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
+    end_with_parent(args.parent)?;
+    memory::limit(args.memory)?;
     let config = load(&args.settings)?.reality;
     use_threads(args.threads)?;
     let mut sink = Sink::open(&args.output)?;

@@ -19,7 +19,7 @@ const RECORD: u64 = 512;
 /// can give no orders.
 const VIEWER_POLICY: &str = "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; \
     style-src 'unsafe-inline'; img-src data: blob:; media-src data: blob:; connect-src data: blob:; worker-src blob:; \
-    base-uri 'none'; form-action 'none'";
+    base-uri 'none'; form-action 'none'; frame-ancestors 'self'";
 
 /// The folder of a published scan; `None` if there is none of this name.
 #[must_use]

@@ -6,7 +6,7 @@ use crate::serve::api::files::{folder_of, names};
 use crate::serve::api::scan::name_in;
 use crate::serve::context::Context;
 use crate::serve::http::response::Response;
-use crate::serve::jobs::Job;
+use crate::serve::jobs::Work;
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -109,8 +109,8 @@ pub fn estimate(context: &Context, id: &str, body: &[u8]) -> Response {
     if state.is_working() {
         return Response::error(409, &format!("the box is {state}; wait for it to be ready"));
     }
-    let job = Job { scan: id.to_owned(), quality, budget_s: context.config.daemon.budget_s };
-    match context.jobs.start(folder, job) {
+    let work = Work::Estimate(folder, quality, context.config.daemon.budget_s);
+    match context.jobs.start(id, || Ok(work)) {
         Ok(()) => Response::json(&serde_json::json!({ "ok": true })),
         Err(problem) => Response::error(409, &problem),
     }
@@ -121,5 +121,5 @@ fn no_such_scan() -> Response {
 }
 
 fn busy() -> Response {
-    Response::error(409, "the scan is being estimated; wait until that is done")
+    Response::error(409, "the box works on this scan; wait until that is done")
 }

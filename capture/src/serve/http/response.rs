@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 /// What may run and load in a page of ours: its own files, nothing inline, nothing from elsewhere.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
-                      frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
+                      frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 /// Bytes of a file that are read at once.
 const CHUNK: usize = 64 << 10;
 

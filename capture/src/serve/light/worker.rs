@@ -1,5 +1,6 @@
 //! The thread that has the light estimated every few seconds while someone watches.
 
+use crate::child_process::IDLE;
 use crate::estimator_process;
 use crate::serve::light::coarse_mesh::coarse_mesh;
 use crate::serve::light::snapshot::scan_of;
@@ -17,6 +18,9 @@ const POLL: Duration = Duration::from_millis(100);
 /// Kept pictures and surfels from which there is anything to find.
 const FEWEST_PICTURES: usize = 3;
 const FEWEST_SURFELS: usize = 500;
+/// The first estimates come sooner: not later than this share of the scan's time after the one before, and this time.
+const SOONER_SHARE: f64 = 0.5;
+const SOONER_S: f64 = 0.5;
 /// Address space of the estimator's process, MB.
 const MEMORY_MB: u32 = 512;
 
@@ -35,34 +39,37 @@ pub fn start(hub: &Arc<Hub>, config: &Config, stop: &Stop) {
 }
 
 fn run(hub: &Weak<Hub>, config: &Config, stop: &Stop, folder: &Path) {
-    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), estimator_process::IDLE);
-    let mut last: Option<Instant> = None;
+    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), IDLE);
+    let mut last: Option<(Instant, f64)> = None;
     loop {
         std::thread::sleep(POLL);
         let Some(hub) = hub.upgrade() else { return };
-        let due = last.is_none_or(|t| t.elapsed().as_secs_f64() >= config.serve.light_interval_s);
+        let due = last.is_none_or(|(t, seconds)| {
+            let wait = (SOONER_S + SOONER_SHARE * seconds).min(config.serve.light_interval_s);
+            t.elapsed().as_secs_f64() >= wait
+        });
         if stop.is_set() {
             return;
         }
         if due && hub.is_watched() && hub.is_scanning() {
             match estimate(&hub, config, stop, folder) {
-                Ok(true) => last = Some(Instant::now()),
-                Ok(false) => {}
+                Ok(None) => {}
+                Ok(Some(seconds)) => last = Some((Instant::now(), seconds)),
                 Err(problem) => {
                     tracing::debug!("light so far: {problem}");
-                    last = Some(Instant::now());
+                    last = Some((Instant::now(), f64::INFINITY));
                 }
             }
         }
     }
 }
 
-/// One estimate; false if there is too little to find anything from.
-fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<bool, String> {
-    let Some(seen) = hub.seen(config.serve.light_pictures as usize) else { return Ok(false) };
+/// One estimate; the time of the scan that it is of, in seconds, or `None` if there is too little to find anything from.
+fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<Option<f64>, String> {
+    let Some(seen) = hub.seen(config.serve.light_pictures as usize) else { return Ok(None) };
     let surfels: usize = seen.blocks.iter().map(|(_, s)| s.len()).sum();
     if seen.pictures.len() < FEWEST_PICTURES || surfels < FEWEST_SURFELS {
-        return Ok(false);
+        return Ok(None);
     }
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let mesh = coarse_mesh(&seen.blocks, seen.voxel_m, config.serve.light_vertices as usize);
@@ -72,5 +79,5 @@ fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<bo
     let cpu_s = estimator_process::estimate_coarsely(&scan, &result, MEMORY_MB, stop).map_err(|e| text(&e))?;
     let found = Estimate::read(&result).map_err(|e| text(&e))?;
     hub.set_light(|number| LightSoFar::new(number, seen.seconds, cpu_s, &found.light, &found.mesh), seen.scan);
-    Ok(true)
+    Ok(Some(seen.seconds))
 }

@@ -45,11 +45,14 @@ function card(s, job) {
   }
   if (job?.scan === s.id) {
     const share = job.step?.fraction == null ? "" : ` ${Math.round(100 * job.step.fraction)} %`;
-    told.append(element("p", { textContent: job.done ? job.problem ?? "Estimated again" : `Estimating again (${job.quality}): ${job.step?.stage ?? "starting"}${share}` }));
+    const doing = job.work === "render" ? "Rendering a picture" : `Estimating again (${job.quality})`;
+    const over = job.problem ?? (job.work === "render" ? "The picture is ready" : "Estimated again");
+    told.append(element("p", { textContent: job.done ? over : `${doing}: ${job.step?.stage ?? "starting"}${share}` }));
   }
   e.append(told);
   const actions = element("div", { className: "actions" });
   if (has("viewer.html")) actions.append(element("a", { href: link("viewer.html"), className: "main", textContent: "Open" }));
+  if (has("viewer.html") && has("result.lres")) actions.append(element("a", { href: `/render?scan=${encodeURIComponent(s.id)}`, textContent: "Picture…" }));
   actions.append(element("a", { href: `/scans/${s.id}.tar`, textContent: "Download all" }));
   const quality = element("select", { disabled: running });
   quality.setAttribute("aria-label", `Estimate ${s.name} again`);

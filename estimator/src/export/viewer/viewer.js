@@ -239,7 +239,7 @@ const relight = (picture, keepLevel) => {
 };
 const open = (file) => {
   if (/\.glb$/i.test(file.name)) {
-    file.arrayBuffer().then((b) => { own = glbCorners(b); $("click").value = "file"; put(atMiddle()); })
+    file.arrayBuffer().then((b) => { own = glbCorners(b); ownFile = file; $("click").value = "file"; put(atMiddle()); })
       .catch((e) => { $("told").textContent = file.name + ": " + e.message; });
     return;
   }
@@ -252,7 +252,7 @@ const open = (file) => {
     video.onerror = () => { $("told").textContent = file.name + " cannot be played by this browser."; };
   } else {
     const image = new Image();
-    image.onload = () => { video = null; sized(image.width, image.height); relight(image, false); };
+    image.onload = () => { video = null; panorama = file; sized(image.width, image.height); relight(image, false); };
     image.onerror = () => { $("told").textContent = file.name + " is no picture that this browser reads."; };
     image.src = url;
   }
@@ -336,7 +336,7 @@ const hit = (x, y) => {
 };
 const atMiddle = () => hit(0.5, 0.5) || { point: middle };
 // Puts a ball or the dropped object where a ray met the surface.
-let own = null;
+let own = null, ownFile = null, panorama = null, picked = null;
 const put = (h) => {
   const kind = $("click").value;
   if (kind === "file" && !own) { $("told").textContent = "Drop a GLB file onto the page first."; return; }
@@ -347,13 +347,14 @@ const put = (h) => {
   corners();
   gl.bindVertexArray(null);
   if (thingShown) gl.deleteVertexArray(thingShown.arrays);
-  thingShown = { arrays, corners: list.length / FLOATS, foot: h.point, size: kind === "file" ? 1 : extent * 0.05 };
+  thingShown = { kind, arrays, corners: list.length / FLOATS, foot: h.point, size: kind === "file" ? 1 : extent * 0.05 };
   draw();
 };
 const click = (x, y) => {
   const h = hit(x, y);
   if (!h) { $("told").textContent = "Nothing of the scan is there."; return null; }
   if ($("click").value !== "pick") { put(h); return h; }
+  picked = h.point;
   const id = segments[h.vertex], s = facts.segments[id], round = (k) => k === null ? "unknown" : Number(k).toFixed(3);
   $("told").textContent = "Segment " + id + "\nw_d " + round(s.w_d) + " · w_s " + round(s.w_s) + " ± " + round(s.w_s_error) +
     "\nalbedo " + s.albedo.map(round).join(", ") + "\n" + (100 * s.share).toFixed(1) + " % of the vertices";
@@ -416,6 +417,11 @@ $("light").addEventListener("change", (e) => { if (e.target.files[0]) open(e.tar
 document.addEventListener("dragover", (e) => e.preventDefault());
 document.addEventListener("drop", (e) => { e.preventDefault(); if (e.dataTransfer.files[0]) open(e.dataTransfer.files[0]); });
 window.addEventListener("resize", draw);
+// A page around this one may ask what is shown, to have the box render it.
+window.addEventListener("message", (e) => {
+  if (window.parent === window || e.source !== window.parent || e.data?.lumiscan !== "shown?") return;
+  e.source.postMessage({ lumiscan: "shown", ...whatIsShown() }, "*");
+});
 // For tests: what a person does by hand.
 window.lumiscan = { draw, click, open, near, frames: () => frames, view: (k) => { keyframe = k === null ? null : facts.keyframes[k]; draw(); }, finish: () => { const p = new Uint8Array(4); gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, p); } };
 draw();
