@@ -104,7 +104,7 @@ fn a_view_of_the_viewer_is_rendered() {
     let (s, scan, id) = box_with_a_scan("serve_render_page");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/foreign/render_page.cjs");
     let url = format!("http://{}/?code={}", s.host, s.code);
-    let folder = arg(scan.join("../.."));
+    let folder = arg(scan.join("../../.."));
     let output = Command::new("node").arg(script).args([&url, &id, &folder]).output().unwrap();
     let report = format!("{}{}", text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{report}\n{}", s.log());

@@ -1,5 +1,5 @@
 // Has a view of the viewer rendered by the box, in headless Chromium: node render_page.cjs URL SCAN FOLDER
-// Puts a mirror ball on the scan from a turned view and compares the box's picture with what the viewer shows. Prints what it measured as
+// Puts a mirror ball on the scan from a turned view; the box's picture has to show it where the viewer does. Prints what it measured as
 // JSON; exit code 1 and the reasons if the page misbehaves. Needs playwright-core and, for the checks of accessibility, axe-core
 // (NODE_PATH). Screenshots go to FOLDER.
 const { chromium } = require("playwright-core");
@@ -39,8 +39,10 @@ async function accessible(frame, name) {
   await accessible(tab.mainFrame(), "picture");
   await accessible(viewer, "viewer");
   await viewer.selectOption("#click", "mirror");
-  await viewer.evaluate(() => { for (const key of ["ArrowLeft", "ArrowDown"]) document.getElementById("view").dispatchEvent(new KeyboardEvent("keydown", { key })); });
-  await viewer.evaluate(() => window.lumiscan.click(0.5, 0.5));
+  await viewer.evaluate(() => { for (const key of [...Array(16).fill("ArrowRight"), "ArrowUp", "+", "+"]) document.getElementById("view").dispatchEvent(new KeyboardEvent("keydown", { key })); });
+  const canvas = async () => (await viewer.evaluate(() => { window.lumiscan.draw(); return document.getElementById("view").toDataURL(); })).split(",")[1];
+  const without = await canvas();
+  await viewer.evaluate(() => window.lumiscan.click(0.62, 0.66));
   await viewer.evaluate(() => window.scrollTo(0, 0));
   await tab.selectOption("#width", "640");
   const rendered = async (n) => {
@@ -54,33 +56,31 @@ async function accessible(frame, name) {
   fs.writeFileSync(path.join(folder, "rendered.png"), first);
   await (await viewer.$("#view")).screenshot({ path: path.join(folder, "viewed.png") });
 
-  // The same silhouette of the scan, from the same place: the viewer's canvas against the box's picture.
-  const shown = (await viewer.evaluate(() => document.getElementById("view").toDataURL())).split(",")[1];
-  const likeness = await tab.evaluate(async ([a, b]) => {
-    const pixels = async (base64) => {
-      const image = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
-      const canvas = new OffscreenCanvas(64, 64), pen = canvas.getContext("2d");
-      pen.drawImage(image, 0, 0, 64, 64);
-      return pen.getImageData(0, 0, 64, 64).data;
-    };
-    // Correlation of the logarithms of brightness, where the viewer shows the scan.
-    const [p, q] = [await pixels(a), await pixels(b)], x = [], y = [];
-    for (let i = 0; i < p.length; i += 4) {
-      if (Math.abs(p[i] - 23) + Math.abs(p[i + 1] - 24) + Math.abs(p[i + 2] - 27) < 9) continue;
-      x.push(Math.log(8 + p[i] + p[i + 1] + p[i + 2]));
-      y.push(Math.log(8 + q[i] + q[i + 1] + q[i + 2]));
-    }
-    const mean = (v) => v.reduce((s, e) => s + e, 0) / v.length, mx = mean(x), my = mean(y);
-    const dot = (u, v, mu, mv) => u.reduce((s, e, i) => s + (e - mu) * (v[i] - mv), 0);
-    return dot(x, y, mx, my) / Math.sqrt(dot(x, x, mx, mx) * dot(y, y, my, my));
-  }, [shown, first.toString("base64")]);
-  told.likeness = likeness;
-  check(likeness > 0.7, `the picture is not what the viewer shows: correlation ${likeness}`);
+  const withBall = await canvas();
 
-  // Without the ball, the picture is another.
+  // Without the ball, the picture is another just where the viewer shows it.
   await tab.uncheck("#insert");
   const second = await rendered(2);
-  check(!first.equals(second), "the ball is in the picture");
+  const place = (pictures) => tab.evaluate(async (pictures) => {
+    const N = 128;
+    const pixels = async (base64) => {
+      const image = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+      const pen = new OffscreenCanvas(N, N).getContext("2d");
+      pen.drawImage(image, 0, 0, N, N);
+      return pen.getImageData(0, 0, N, N).data;
+    };
+    const [p, q] = await Promise.all(pictures.map(pixels)), x = [], y = [];
+    for (let i = 0; i < N * N; i++) {
+      if ([0, 1, 2].every((c) => Math.abs(p[4 * i + c] - q[4 * i + c]) < 40)) continue;
+      x.push(i % N / N);
+      y.push(Math.floor(i / N) / N);
+    }
+    const middle = (v) => v.sort((a, b) => a - b)[v.length >> 1];
+    return [middle(x), middle(y), Math.sqrt(x.length) / N];
+  }, pictures);
+  const [inViewer, inPicture] = [await place([without, withBall]), await place([second, first].map((b) => b.toString("base64")))];
+  told.ball = { inViewer, inPicture };
+  check(inViewer.every((v, k) => Math.abs(v - inPicture[k]) < 0.04), "the box shows the ball elsewhere, or of another size: " + JSON.stringify(told.ball));
   await tab.screenshot({ path: path.join(folder, "render_page.png"), fullPage: true });
   await browser.close();
   console.log(JSON.stringify(told));
