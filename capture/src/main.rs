@@ -9,6 +9,7 @@ mod estimator_process;
 mod failure;
 mod handoff;
 mod kinect;
+mod live_config;
 mod memory;
 mod orders;
 mod pipeline;

@@ -11,6 +11,7 @@ use recordings::recording::{Event, RecordingKind, RecordingReader, RecordingWrit
 use recordings::types::{ColorFrame, DepthFrame};
 use std::path::Path;
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// When a hand comes before the lens, for how long, and the time between the frames of that.
 const COVERED_AT_NS: i64 = 2_500_000_000;
@@ -78,7 +79,14 @@ fn a_scan_is_driven_from_a_phone() {
     let s = Served::start(&folder, &fixed.into_iter().chain(settings).collect::<Vec<_>>());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/foreign/live.cjs");
     let url = format!("http://{}/?code={}", s.host, s.code);
-    let output = Command::new("node").arg(script).args([&url, &arg(&folder)]).output().unwrap();
+    // Meanwhile another client takes a kilobyte a second.
+    let over = AtomicBool::new(false);
+    let output = std::thread::scope(|scope| {
+        scope.spawn(|| s.read_slowly("/api/live.mjpeg", &over));
+        let output = Command::new("node").arg(script).args([&url, &arg(&folder)]).output();
+        over.store(true, Ordering::Relaxed);
+        output.unwrap()
+    });
     let report = format!("{}{}", text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{report}\n{}", s.log());
     eprintln!("{report}");

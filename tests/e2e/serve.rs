@@ -129,14 +129,7 @@ fn a_scan_is_the_same_whether_it_is_watched_or_not() {
     std::thread::scope(|scope| {
         let clients = [scope.spawn(|| client(&s, &over)), scope.spawn(|| client(&s, &over))];
         // One more that takes a kilobyte a second.
-        scope.spawn(|| {
-            let mut stream = s.connect();
-            let request = format!("GET /api/live.mjpeg HTTP/1.1\r\nHost: {}\r\n{}\r\n", s.host, s.access);
-            stream.write_all(request.as_bytes()).unwrap();
-            while !over.load(Ordering::Relaxed) && stream.read(&mut [0; 100]).is_ok_and(|n| n > 0) {
-                std::thread::sleep(Duration::from_millis(100));
-            }
-        });
+        scope.spawn(|| s.read_slowly("/api/live.mjpeg", &over));
         let began = Instant::now();
         while s.get("/api/status").json()["state"] != "done" {
             assert!(began.elapsed() < Duration::from_secs(240), "{}", s.log());
@@ -192,6 +185,17 @@ fn a_scan_is_driven_from_the_page_and_its_files_are_fetched() {
     s.post("/api/scan/stop", "");
     s.wait("published", |s| s["finished_scans"] == 1 && s["state"] == "ready");
 
+    // Some settings change while the box runs: the next scan has them.
+    let change = |body: &str| s.post("/api/settings", body);
+    for body in ["{\"settings\": {\"fusion.pool_blocks\": 512}}", "{\"settings\": {\"fusion.voxel_size_m\": 9}}", "[]"]
+    {
+        assert_eq!(change(body).status, 400, "{body}");
+    }
+    assert_eq!(change("{\"settings\": {\"fusion.voxel_size_m\": 0.031}}").status, 200);
+    let settings = s.get("/api/settings").json();
+    let changed = settings["settings"].as_array().unwrap().iter().find(|s| s["key"] == "fusion.voxel_size_m").unwrap();
+    assert_eq!((&changed["value"], &changed["changes"]), (&"0.031".into(), &true.into()));
+
     let list = s.get("/api/scans").json();
     let (id, name) = (list["scans"][0]["id"].as_str().unwrap().to_owned(), &list["scans"][0]["name"]);
     assert!(id.ends_with("-scan-0001-my_desk") && name == "my desk", "{list}");
@@ -220,6 +224,9 @@ fn a_scan_is_driven_from_the_page_and_its_files_are_fetched() {
     // A discarded scan is not published; a renamed one keeps its number; a deleted one is gone.
     s.post("/api/scan/start", "");
     s.wait("scanning", |s| s["scan"]["seconds"].as_f64() > Some(0.5));
+    // Half of it while the scene is small.
+    let voxel = s.get("/api/status").json()["live"]["voxel_size_m"].as_f64().unwrap();
+    assert!((voxel - 0.031).abs() < 1e-6 || (voxel - 0.0155).abs() < 1e-6, "{voxel}");
     s.post("/api/scan/discard", "");
     s.wait("ready again", |s| s["state"] == "ready");
     assert_eq!(s.get("/api/scans").json()["scans"].as_array().unwrap().len(), 1);
@@ -244,6 +251,7 @@ fn the_lines_of_the_description_work() {
     s.wait("ready", |s| s["state"] == "ready");
     s.post("/api/scan/start", "");
     s.wait("tracking", |s| s["live"]["tracking"] == "tracked" && s["scan"]["seconds"].as_f64() > Some(1.0));
+    std::fs::write(folder.path().join("object.ply"), "ply\n").unwrap();
     let described = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("API.md")).unwrap();
     let mut lines = 0;
     let mut id = String::new();

@@ -8,6 +8,7 @@ use crate::daemon::notify::Notifier;
 use crate::daemon::scan_loop::Daemon;
 use crate::daemon::status_file;
 use crate::failure::Failure;
+use crate::live_config::LiveConfig;
 use crate::memory;
 use crate::orders::Orders;
 use crate::report::Reporter;
@@ -40,11 +41,14 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
     let board = Arc::new(Board::default());
     board.set(|s| (s.auto, s.memory_plan_bytes) = (args.auto, plan));
     orders.set_auto(args.auto);
+    let live_config = Arc::new(LiveConfig::new(&config));
     let page = match page_address(args, &config.serve)? {
         None => None,
         Some(address) => {
             let (config, device, browsers) = (&config, &args.device, Some(args.device.join(".browsers")));
-            let shown = Shown { config, device, board: &board, orders: &orders, stop: &stop, reporter, browsers };
+            let live_config = Some(&live_config);
+            let shown =
+                Shown { config, live_config, device, board: &board, orders: &orders, stop: &stop, reporter, browsers };
             let page = Service::start(address, shown)?;
             page.announce()?;
             Some(page)
@@ -58,6 +62,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
         let daemon = Daemon {
             args,
             config: &config,
+            live_config: &live_config,
             board: &board,
             orders: &orders,
             stop: &stop,

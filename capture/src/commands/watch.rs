@@ -42,8 +42,17 @@ impl Watched {
         let (board, orders) = (Arc::new(Board::default()), Orders::default());
         board.set(|s| s.sensor = Some(args.source.display().to_string()));
         board.enter(State::Ready);
-        let shown =
-            Shown { config, device: &args.device, board: &board, orders: &orders, stop, reporter, browsers: None };
+        let live_config = None;
+        let shown = Shown {
+            config,
+            live_config,
+            device: &args.device,
+            board: &board,
+            orders: &orders,
+            stop,
+            reporter,
+            browsers: None,
+        };
         let page = Service::start(address, shown)?;
         page.announce()?;
         Ok(Some(Self { page, board, orders }))

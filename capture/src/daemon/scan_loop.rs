@@ -10,6 +10,7 @@ use crate::kinect::driver::{Kinect, Led};
 use crate::kinect::live::{Live, Polled};
 use crate::kinect::protocol::KinectError;
 use crate::kinect::transport::{Bus, UsbError};
+use crate::live_config::LiveConfig;
 use crate::memory;
 use crate::orders::Orders;
 use crate::pipeline::{self, Job};
@@ -42,6 +43,8 @@ pub struct Daemon<'a> {
     pub args: &'a Capture,
     /// Settings.
     pub config: &'a Config,
+    /// Those of the next scan.
+    pub live_config: &'a LiveConfig,
     /// Receives state and figures.
     pub board: &'a Arc<Board>,
     /// Requests of the user.
@@ -174,10 +177,11 @@ impl Daemon<'_> {
 
     /// One scan, from its first frame to the published folder.
     fn scan(&self, live: Live) -> Result<(), Failure> {
-        let (device, daemon) = (&self.args.device, &self.config.daemon);
-        retention::make_room(device, daemon, &self.config.handoff)?;
+        let config = &self.live_config.get();
+        let (device, daemon) = (&self.args.device, &config.daemon);
+        retention::make_room(device, daemon, &config.handoff)?;
         let name = retention::next_name(device)?;
-        let described = sensor::describe(live.kinect(), self.config);
+        let described = sensor::describe(live.kinect(), config);
         let mut staging = Staging::unattended(device, &name)?;
         self.board.begin_scan(&name);
         let streaming = Streaming::new(
@@ -193,13 +197,13 @@ impl Daemon<'_> {
         );
         let ending = streaming.ending();
         let source = Path::new("kinect");
-        let pairs = Pairs::live(streaming, &self.config.capture);
+        let pairs = Pairs::live(streaming, &config.capture);
         let scan_path = staging.folder().join("scan.lscan");
         let job = Job {
             name: &name,
             source,
             scan: &scan_path,
-            config: self.config,
+            config,
             board: Some(self.board),
             orders: Some(self.orders),
             hub: self.page.map(Service::hub),
@@ -229,7 +233,7 @@ impl Daemon<'_> {
 
     fn publish(&self, staging: Staging, name: String, entry: CaptureEntry) -> Result<(), Failure> {
         self.board.enter(State::Estimating);
-        let daemon = &self.config.daemon;
+        let daemon = &self.live_config.get().daemon;
         let effort = Effort {
             budget: daemon.budget_s,
             rounds: None,

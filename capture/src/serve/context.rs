@@ -1,5 +1,6 @@
 //! What requests are answered from.
 
+use crate::live_config::LiveConfig;
 use crate::orders::Orders;
 use crate::report::Reporter;
 use crate::serve::access::Access;
@@ -27,6 +28,8 @@ pub struct Context {
     pub device: PathBuf,
     /// Settings.
     pub config: Config,
+    /// Those of the next scan, where they may change.
+    pub live_config: Option<Arc<LiveConfig>>,
     /// Progress and log.
     pub reporter: Reporter,
     /// Work on finished scans.

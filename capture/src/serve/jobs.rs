@@ -22,8 +22,8 @@ const RENDER_LIMIT: Duration = Duration::from_secs(600);
 pub enum Work {
     /// The scan in this folder is estimated again, at this quality, within so many seconds.
     Estimate(PathBuf, QualityPoint, f64),
-    /// A picture is rendered: arguments of `lumiscan render`, and memory in MB.
-    Render(Vec<OsString>, u32),
+    /// A picture is rendered: arguments of `lumiscan render`.
+    Render(Vec<OsString>),
 }
 
 impl Work {
@@ -41,7 +41,7 @@ impl Work {
                     Effort { budget: *budget, rounds: None, quality: Some(*quality), threads: None, memory: None };
                 publish::again(folder, &effort, stop, reporter)
             }
-            Self::Render(arguments, memory_mb) => render(arguments, *memory_mb, stop, reporter),
+            Self::Render(arguments) => render(arguments, stop, reporter),
         }
     }
 }
@@ -140,12 +140,12 @@ impl Jobs {
 }
 
 /// Renders a picture in a process of its own, at the lowest priority.
-fn render(arguments: &[OsString], memory_mb: u32, stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
+fn render(arguments: &[OsString], stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
     let cannot = |e: std::io::Error| Failure::Internal(format!("the renderer could not be started: {e}"));
     let mut child = Command::new(std::env::current_exe().map_err(cannot)?)
         .args(["--json", "render"])
         .args(arguments)
-        .args(["--memory", &memory_mb.to_string(), "--parent", &std::process::id().to_string()])
+        .args(["--parent", &std::process::id().to_string()])
         .env("RUST_BACKTRACE", "0")
         .stdin(Stdio::null())
         .stdout(Stdio::null())
@@ -170,7 +170,7 @@ fn render(arguments: &[OsString], memory_mb: u32, stop: &Stop, reporter: &Report
             time.as_secs_f64()
         ))),
         (false, None) if said.contains("memory allocation of") => {
-            Err(Failure::Memory(format!("the picture needs more than {memory_mb} MB; make it smaller")))
+            Err(Failure::Memory("the picture needs more than daemon.estimator_limit_mb; make it smaller".into()))
         }
         (false, None) => Err(Failure::Internal(if said.is_empty() { waited.status.to_string() } else { said })),
     }

@@ -1,6 +1,7 @@
 //! The web page as a service of `capture` and of a watched `replay`.
 
 use crate::failure::Failure;
+use crate::live_config::LiveConfig;
 use crate::orders::Orders;
 use crate::report::Reporter;
 use crate::serve::access::Access;
@@ -26,6 +27,8 @@ use std::sync::Arc;
 pub struct Shown<'a> {
     /// Settings.
     pub config: &'a Config,
+    /// Settings of the next scan; `None` = they do not change.
+    pub live_config: Option<&'a Arc<LiveConfig>>,
     /// Device folder.
     pub device: &'a Path,
     /// State of the box.
@@ -68,6 +71,7 @@ impl Service {
             orders: shown.orders.clone(),
             device: shown.device.into(),
             config: shown.config.clone(),
+            live_config: shown.live_config.cloned(),
             reporter: shown.reporter.clone(),
             jobs: Jobs::new(shown.stop),
             desk: Desk::default(),

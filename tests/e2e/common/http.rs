@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -110,6 +111,16 @@ impl Served {
             "{method} {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
         );
         self.raw(text.as_bytes())
+    }
+
+    /// Takes a kilobyte a second of an answer without end, until it is told to stop.
+    pub fn read_slowly(&self, path: &str, over: &AtomicBool) {
+        let mut stream = self.connect();
+        let request = format!("GET {path} HTTP/1.1\r\nHost: {}\r\n{}\r\n", self.host, self.access);
+        stream.write_all(request.as_bytes()).expect("a request is taken");
+        while !over.load(Ordering::Relaxed) && stream.read(&mut [0; 100]).is_ok_and(|n| n > 0) {
+            std::thread::sleep(Duration::from_millis(100));
+        }
     }
 
     pub fn get(&self, path: &str) -> Reply {

@@ -1,10 +1,13 @@
 //! The box itself: its diagnosis, its settings, and how another browser is paired.
 
+use crate::live_config::CHANGEABLE;
 use crate::serve::context::Context;
 use crate::serve::http::request::Request;
 use crate::serve::http::response::Response;
 use crate::serve::qr;
 use serde::Deserialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -43,32 +46,53 @@ fn checked(context: &Context) -> std::io::Result<serde_json::Value> {
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// `GET /api/settings`: every setting, and what may change while the box runs.
+/// `GET /api/settings`: every setting, and which of them may change while the box runs.
 pub fn settings(context: &Context) -> Response {
-    let all: Vec<_> = context
-        .config
+    let live = context.live_config.as_ref();
+    let config = live.map_or_else(|| context.config.clone(), |live| live.get());
+    let all: Vec<_> = config
         .settings()
         .into_iter()
         .filter(|s| !s.tuning)
-        .map(|s| serde_json::json!({ "key": s.key, "value": s.value, "unit": s.unit, "range": s.range, "doc": s.doc }))
+        .map(|s| {
+            let changes = live.is_some() && CHANGEABLE.contains(&s.key.as_ref());
+            serde_json::json!({
+                "key": s.key, "value": s.value, "unit": s.unit, "range": s.range, "doc": s.doc, "changes": changes,
+            })
+        })
         .collect();
     Response::json(&serde_json::json!({ "auto": context.orders.is_auto(), "settings": all }))
 }
 
-/// What may change while the box runs.
+/// What is to change.
 #[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct Changes {
     /// Motion starts scans, stillness ends them.
-    auto: bool,
+    auto: Option<bool>,
+    /// Values by their keys.
+    #[serde(default)]
+    settings: BTreeMap<String, Value>,
 }
 
 /// `POST /api/settings`: changes what may change; it holds until the box restarts.
 pub fn change_settings(context: &Context, body: &[u8]) -> Response {
-    let Ok(Changes { auto }) = serde_json::from_slice(body) else {
-        return Response::error(400, "send {\"auto\": true} or {\"auto\": false}");
+    let Ok(Changes { auto, settings }) = serde_json::from_slice(body) else {
+        return Response::error(400, "send {\"auto\": true} or {\"settings\": {\"daemon.budget_s\": 60}}");
     };
-    context.orders.set_auto(auto);
-    context.board.set(|s| s.auto = auto);
+    let text = |v: &Value| v.as_str().map_or_else(|| v.to_string(), ToOwned::to_owned);
+    let changed = match &context.live_config {
+        Some(live) => live.change(settings.iter().map(|(k, v)| (k.as_str(), text(v)))),
+        None if settings.is_empty() => Ok(()),
+        None => Err("the settings of a replay do not change".into()),
+    };
+    if let Err(problem) = changed {
+        return Response::error(400, &problem);
+    }
+    if let Some(auto) = auto {
+        context.orders.set_auto(auto);
+        context.board.set(|s| s.auto = auto);
+    }
     Response::json(&serde_json::json!({ "ok": true }))
 }
 

@@ -26,10 +26,14 @@ pub fn start(context: &Context, id: &str, body: &[u8]) -> Response {
     }
     let prepare = || {
         context.desk.folder().map_err(|e| e.to_string())?;
-        let arguments = picture.arguments(&result, &context.desk, result_of)?;
+        let mut arguments = picture.arguments(&result, &context.desk, result_of)?;
+        let limit_mb = context.config.daemon.estimator_limit_mb;
+        if limit_mb > 0 {
+            arguments.extend(["--memory".into(), limit_mb.to_string().into()]);
+        }
         // What is shown is never that of an earlier wish.
         let _ = std::fs::remove_file(context.desk.picture());
-        Ok(Work::Render(arguments, context.config.daemon.estimator_limit_mb))
+        Ok(Work::Render(arguments))
     };
     match context.jobs.start(id, prepare) {
         Ok(()) => Response::json(&serde_json::json!({ "ok": true })),

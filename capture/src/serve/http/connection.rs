@@ -18,6 +18,9 @@ const STALL_TIME: Duration = Duration::from_secs(60);
 /// Most requests of a connection.
 const REQUESTS: u32 = 10_000;
 
+/// Most requests of a connection in a second; it waits before the next one is read.
+const RATE: u32 = 100;
+
 /// A request with its body and the client's address.
 pub struct Asked {
     /// The head.
@@ -52,7 +55,9 @@ pub fn serve(
         }
     };
     let mut received = Vec::new();
+    let mut second = (Instant::now(), 0);
     for _ in 0..REQUESTS {
+        keep_to_rate(&mut second);
         idle(true);
         let request = match read_head(&mut link, &mut received)? {
             Some(Ok(request)) => request,
@@ -71,6 +76,16 @@ pub fn serve(
         }
     }
     Ok(())
+}
+
+/// Counts a request; waits for the next second where this one has had its share.
+fn keep_to_rate((began, requests): &mut (Instant, u32)) {
+    let left = Duration::from_secs(1).saturating_sub(began.elapsed());
+    *requests += 1;
+    if left.is_zero() || *requests > RATE {
+        std::thread::sleep(left);
+        (*began, *requests) = (Instant::now(), 1);
+    }
 }
 
 /// The next request; `None` at the end of the connection. What was received beyond it stays in `received`.
@@ -121,4 +136,19 @@ fn drain(link: &mut Link) -> std::io::Result<()> {
     let mut rest = Vec::new();
     while receive(link, &mut rest, HEAD_BYTES, deadline)? > 0 && rest.len() < HEAD_BYTES {}
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_connection_has_its_share_of_requests_a_second() {
+        let began = Instant::now();
+        let mut second = (began, 0);
+        (0..RATE).for_each(|_| keep_to_rate(&mut second));
+        assert!(began.elapsed() < Duration::from_secs(1));
+        (0..RATE + 1).for_each(|_| keep_to_rate(&mut second));
+        assert!(began.elapsed() >= Duration::from_secs(2));
+    }
 }

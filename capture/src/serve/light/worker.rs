@@ -5,7 +5,7 @@ use crate::estimator_process;
 use crate::serve::light::coarse_mesh::coarse_mesh;
 use crate::serve::light::snapshot::scan_of;
 use crate::serve::light::so_far::LightSoFar;
-use crate::serve::live::hub::Hub;
+use crate::serve::live::hub::{Hub, Seen};
 use crate::stop::Stop;
 use firmware_config::Config;
 use recordings::result::Estimate;
@@ -39,7 +39,6 @@ pub fn start(hub: &Arc<Hub>, config: &Config, stop: &Stop) {
 }
 
 fn run(hub: &Weak<Hub>, config: &Config, stop: &Stop, folder: &Path) {
-    let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), IDLE);
     let mut last: Option<(Instant, f64)> = None;
     loop {
         std::thread::sleep(POLL);
@@ -71,13 +70,23 @@ fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<Op
     if seen.pictures.len() < FEWEST_PICTURES || surfels < FEWEST_SURFELS {
         return Ok(None);
     }
+    let work = || {
+        let _ = rustix::process::setpriority_process(Some(rustix::thread::gettid()), IDLE);
+        found_in(&seen, config, stop, folder)
+    };
+    // What was seen is copied at the priority of the server, since fusion may wait for that; only then is there time.
+    let (cpu_s, found) = std::thread::scope(|scope| scope.spawn(work).join()).map_err(|_| "the thread panicked")??;
+    hub.set_light(|number| LightSoFar::new(number, seen.seconds, cpu_s, &found.light, &found.mesh), seen.scan);
+    Ok(Some(seen.seconds))
+}
+
+/// The estimate and its processor time in seconds.
+fn found_in(seen: &Seen, config: &Config, stop: &Stop, folder: &Path) -> Result<(f64, Estimate), String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
     let mesh = coarse_mesh(&seen.blocks, seen.voxel_m, config.serve.light_vertices as usize);
     std::fs::create_dir_all(folder).map_err(|e| text(&e))?;
     let (scan, result): (PathBuf, PathBuf) = (folder.join("scan.lscan"), folder.join("result.lres"));
     scan_of(&seen.sensor, config, mesh, &seen.pictures).write(&scan).map_err(|e| text(&e))?;
     let cpu_s = estimator_process::estimate_coarsely(&scan, &result, MEMORY_MB, stop).map_err(|e| text(&e))?;
-    let found = Estimate::read(&result).map_err(|e| text(&e))?;
-    hub.set_light(|number| LightSoFar::new(number, seen.seconds, cpu_s, &found.light, &found.mesh), seen.scan);
-    Ok(Some(seen.seconds))
+    Ok((cpu_s, Estimate::read(&result).map_err(|e| text(&e))?))
 }

@@ -213,8 +213,8 @@ impl Hub {
             let number = state.number;
             self.pictures.offer(number, seconds, report.world_from_camera, &frame.rgb, kept);
         }
-        if watched {
-            let mut surface = lock(&self.surface);
+        // While clients read it, a frame passes by: the next one brings what this one changed.
+        if let (true, Ok(mut surface)) = (watched, self.surface.try_lock()) {
             if surface.is_full() {
                 surface.clear();
                 state.reader = SurfaceReader::default();

@@ -88,13 +88,21 @@ async function refresh() {
 }
 
 const opened = (id, work) => $(id).addEventListener("toggle", (e) => { if (e.target === $(id) && $(id).open) act(work); });
-const rows = (id, list) => $(id).replaceChildren(...list.map((cells) => element("tr", {}, ...cells.map((c) => element("td", { textContent: c })))));
+const rows = (id, list) => $(id).replaceChildren(...list.map((cells) => element("tr", {}, ...cells.map((c) => element("td", {}, c)))));
+
+// A setting that may change; it holds from the next scan on.
+function field(s) {
+  const input = element("input", { value: String(s.value).replace(/^"|"$/g, ""), title: [s.unit, s.range].filter(Boolean).join(", ") });
+  input.setAttribute("aria-label", `${s.key} ${s.unit}`);
+  input.onchange = () => act(() => send("/api/settings", { settings: { [s.key]: input.value } }));
+  return input;
+}
 
 opened("box", async () => {
   const [status, told] = await Promise.all(["/api/status", "/api/settings"].map(async (u) => (await fetch(u)).json()));
   $("version").textContent = `Lumiscan ${status.lumiscan} · ${status.sensor ?? "no sensor"} · memory ${bytes(status.memory_bytes)} · disk left ${bytes(status.disk_free_bytes)}`;
   $("auto").checked = told.auto;
-  rows("settings", told.settings.map((s) => [s.key, `${s.value} ${s.unit}`, s.doc]));
+  rows("settings", told.settings.map((s) => [s.key, s.changes ? field(s) : `${s.value} ${s.unit}`, s.doc]));
 });
 $("auto").onchange = () => act(() => send("/api/settings", { auto: $("auto").checked }));
 opened("pair", async () => {
