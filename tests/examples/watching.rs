@@ -113,6 +113,8 @@ fn watch(lumiscan: &str, recording: &Path, clients: usize, more: &[&str]) -> Out
     let folder = tempfile::tempdir()?;
     // The scan is read after the folder of this run is gone.
     let device = std::env::temp_dir().join("lumiscan-watching");
+    // What an interrupted run left there would be told first.
+    let _ = std::fs::remove_dir_all(&device);
     let token = folder.path().join("token");
     let mut child = Command::new(lumiscan)
         .args(["replay", "--watch", "--keep", "--device"])
