@@ -8,6 +8,7 @@
 //! a live sensor, the oldest pair that waits for `decode` is dropped and counted.
 
 use crate::failure::Failure;
+use crate::kinect::buffers::Buffers;
 use crate::orders::Orders;
 use crate::report::{Reporter, Step};
 use crate::serve::live::hub::Hub;
@@ -23,6 +24,7 @@ use fusion::FusionError;
 use fusion::FusionOutput;
 use fusion::Tracking;
 use glam::DVec3;
+use recordings::recording::Event;
 use recordings::scan::{CaptureStats, FrameId, ScanTail, ScanWriter};
 use recordings::types::{ColorFrame, Pose, RgbdFrame, Sensor, TimestampNs};
 use std::path::{Path, PathBuf};
@@ -101,21 +103,30 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
     }
     let writer = ScanWriter::create(scan_path).map_err(|e| Failure::Internal(e.to_string()))?;
 
+    let buffers = pairs.buffers();
     let (raw_out, raw_in) = bounded::<RawPair>(QUEUED_FRAMES);
     let (frame_out, frame_in) = bounded::<Played>(QUEUED_FRAMES);
     let (disk_out, disk_in) = bounded::<ToDisk>(QUEUED_KEYFRAMES);
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         // A live sensor drops the oldest waiting pair; any other source waits.
-        let drop_oldest = pairs.drops_when_slow().then(|| DropOldest { oldest: raw_in.clone(), over: &over });
+        let drop_oldest = pairs.drops_when_slow().then(|| DropOldest {
+            oldest: raw_in.clone(),
+            over: &over,
+            buffers: buffers.clone(),
+        });
         let pace = orders.filter(|_| paced).map(|orders| Pace::new(orders, stop));
         let reader = start(scope, "read", move || read(pairs, &raw_out, drop_oldest, board, pace));
         let path: PathBuf = source_path.into();
         let decoder =
             start(scope, "decode", move || decode(&raw_in, &frame_out, &path, &config.capture.tuning.gravity));
-        let disk = start(scope, "disk", move || write(writer, &disk_in));
+        let disk = start(scope, "disk", {
+            let buffers = buffers.clone();
+            move || write(writer, &disk_in, &buffers)
+        });
 
-        let fused = fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board, orders, hub }, bad_input);
+        let fused =
+            fuse(fusion, &frame_in, &disk_out, stop, Observers { reporter, board, orders, hub }, &buffers, bad_input);
         // Ends the stages before this one if this one ended first.
         over.store(true, Ordering::Relaxed);
         drop(frame_in);
@@ -153,6 +164,8 @@ struct DropOldest<'a> {
     oldest: Receiver<RawPair>,
     /// Set when the receiver is gone, which the sender cannot see because `oldest` is a second receiver.
     over: &'a AtomicBool,
+    /// Takes the buffers of what is dropped.
+    buffers: Buffers,
 }
 
 fn read(
@@ -189,7 +202,11 @@ fn send_newest(mut pair: RawPair, out: &Sender<RawPair>, drop_oldest: &DropOldes
             Err(TrySendError::Disconnected(_)) => return false,
             Err(TrySendError::Full(back)) => {
                 // The next stage may have taken it meanwhile.
-                *dropped += u64::from(drop_oldest.oldest.try_recv().is_ok());
+                if let Ok(oldest) = drop_oldest.oldest.try_recv() {
+                    *dropped += 1;
+                    drop_oldest.buffers.recycle(Event::Depth(oldest.depth));
+                    drop_oldest.buffers.recycle(Event::Color(oldest.color));
+                }
                 pair = back;
             }
         }
@@ -215,10 +232,14 @@ fn decode(raw: &Receiver<RawPair>, out: &Sender<Played>, path: &Path, gravity: &
     Ok(())
 }
 
-fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>) -> Result<(), Failure> {
+fn write(mut writer: ScanWriter, disk: &Receiver<ToDisk>, buffers: &Buffers) -> Result<(), Failure> {
     for order in disk {
         match order {
-            ToDisk::Frame(id, color) => writer.add_frame(id, &color),
+            ToDisk::Frame(id, color) => {
+                let written = writer.add_frame(id, &color);
+                buffers.recycle(Event::Color(color));
+                written
+            }
             ToDisk::Finish(tail) => return writer.finish(&tail).map_err(|e| Failure::Internal(e.to_string())),
         }
         .map_err(|e| Failure::Internal(e.to_string()))?;
@@ -247,6 +268,7 @@ fn fuse(
     disk: &Sender<ToDisk>,
     stop: &Stop,
     observers: Observers<'_>,
+    buffers: &Buffers,
     bad_input: impl Fn(FusionError) -> Failure,
 ) -> Result<Fused, Failure> {
     let Observers { reporter, board, orders, hub } = observers;
@@ -281,12 +303,15 @@ fn fuse(
         if let Some(hub) = hub {
             hub.observe(&fusion, &frame, &report, paused);
         }
+        buffers.recycle(Event::Depth(frame.depth));
         if let Some(id) = report.keep {
             kept += 1;
             // Fails only if the disk thread has ended, which returns its own error.
             if disk.send(ToDisk::Frame(id, frame.color)).is_err() {
                 break;
             }
+        } else {
+            buffers.recycle(Event::Color(frame.color));
         }
         let fps = count as f64 / started.elapsed().as_secs_f64().max(1e-9);
         let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
@@ -370,6 +395,7 @@ fn join<T>(thread: Result<ScopedJoinHandle<'_, Result<T, Failure>>, Failure>) ->
 mod tests {
     use super::*;
     use crate::kinect::driver::Kinect;
+    use crate::kinect::frame_queue::Wanted;
     use crate::kinect::live::Live;
     use crate::memory::resident_bytes;
     use crate::simulator::bus::SimBus;
@@ -390,7 +416,7 @@ mod tests {
         (config.daemon.max_scan_s, config.daemon.min_free_mb, config.kinect.accelerometer_hz) = (3600.0, 1, 1);
         let kinect = Kinect::open(&mut bus, "", &config.kinect).unwrap();
         let described = sensor::describe(&kinect, &config);
-        let live = Live::start(kinect, &config.kinect).unwrap();
+        let live = Live::start(kinect, Wanted::NewFrames, &config.kinect).unwrap();
         let board = Arc::new(Board::default());
         let conditions = Conditions {
             orders: Orders::default(),
@@ -401,11 +427,12 @@ mod tests {
         };
         let pairs = Pairs::live(Streaming::new(live, described, conditions), &config.capture);
         assert!(pairs.drops_when_slow());
+        let buffers = pairs.buffers();
         let (out, waiting) = bounded(QUEUED_FRAMES);
         let oldest = waiting.clone();
         let reader = std::thread::spawn(move || {
             let over = AtomicBool::new(false);
-            let outcome = read(pairs, &out, Some(DropOldest { oldest, over: &over }), None, None);
+            let outcome = read(pairs, &out, Some(DropOldest { oldest, over: &over, buffers }), None, None);
             drop(out);
             outcome
         });
@@ -441,7 +468,7 @@ mod tests {
         assert_eq!(stats.depth_frames + stats.color_frames + drops.lost_frames, 2 * FRAMES);
         let spoilt = log.depth.lost + log.color.lost + log.depth.spoilt + log.color.spoilt;
         assert_eq!(stats.missing_packets, spoilt, "a packet that did not come as it was sent is missing");
-        assert_eq!((drops.ring_packets, drops.flagged_packets), (0, 0));
+        assert_eq!((drops.dropped_frames, drops.flagged_packets), (0, 0));
         assert!(stats.incomplete_frames > 100 && stats.incomplete_frames <= stats.missing_packets);
         assert!(grown < 48 << 20, "{grown} bytes");
     }

@@ -75,8 +75,8 @@ pub struct Drops {
     pub missing_packets: u64,
     /// USB packets that the host controller flagged as bad.
     pub flagged_packets: u64,
-    /// USB packets dropped because the ring was full.
-    pub ring_packets: u64,
+    /// Frames that were turned away because the machine was too slow to decode them.
+    pub dropped_frames: u64,
     /// Frames with missing packets.
     pub incomplete_frames: u64,
     /// Frames of which nothing usable arrived.
@@ -168,8 +168,8 @@ impl Board {
         let (d, c) = (stats.streams.depth, stats.streams.color);
         s.exposure_us = exposure_us;
         s.drops.missing_packets = d.missing + c.missing;
-        s.drops.flagged_packets = stats.ring.bad_status;
-        s.drops.ring_packets = stats.ring.dropped;
+        s.drops.flagged_packets = stats.queue.flagged;
+        s.drops.dropped_frames = d.dropped_frames + c.dropped_frames;
         s.drops.incomplete_frames = d.incomplete_frames + c.incomplete_frames;
         s.drops.lost_frames = d.lost_frames + c.lost_frames;
         s.drops.restarts = stats.restarts;

@@ -31,9 +31,10 @@ pub fn memory_plan(config: &Config) -> Vec<Planned> {
     let blocks = u64::from(config.fusion.pool_blocks);
     let plan = |name, bytes| Planned { name, bytes };
     vec![
-        plan("packet ring", 4 << 20),
         plan("USB transfers", 2 * 16 * 16 * 1920),
-        plan("frames being assembled and unpacked", 16 << 20),
+        // Eight of each kind wait, up to twelve are in work.
+        plan("frames as they arrive", 20 * (DEPTH_11.frame_bytes() + color.frame_bytes()) as u64),
+        plan("tables of depth decoding", 8 << 20),
         // Two frames of each kind wait for their partners, two pairs before each stage, one in each.
         plan("frames waiting and in work", 10 * pair),
         plan("frames waiting for the disk", 4 * pixels),

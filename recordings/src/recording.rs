@@ -1,7 +1,7 @@
 //! RGB-D recordings (`.lrec`): a sensor header, then time-stamped events in the order they came.
 
 use crate::codec::chunk::{ChunkReader, ChunkWriter, Tag};
-use crate::codec::depth::{self, DepthDecoder};
+use crate::codec::depth::{DepthDecoder, DepthEncoder};
 use crate::codec::header::{from_bytes, to_bytes};
 use crate::error::{Error, Result};
 use crate::types::{Accelerometer, ColorFrame, DepthFrame, Sensor, TimestampNs, UsbPacket};
@@ -159,6 +159,7 @@ pub struct RecordingWriter {
     color_size: (u32, u32),
     packets: Vec<u8>,
     coded: Vec<u8>,
+    encoder: DepthEncoder,
 }
 
 impl RecordingWriter {
@@ -178,7 +179,15 @@ impl RecordingWriter {
         file.write(HEAD, &[&head])?;
         let size = |camera: &crate::types::CameraModel| (camera.intrinsics.width, camera.intrinsics.height);
         let (depth_size, color_size) = (size(&sensor.depth), size(&sensor.color));
-        Ok(Self { file, kind, depth_size, color_size, packets: Vec::new(), coded: Vec::new() })
+        Ok(Self {
+            file,
+            kind,
+            depth_size,
+            color_size,
+            packets: Vec::new(),
+            coded: Vec::new(),
+            encoder: DepthEncoder::new(),
+        })
     }
 
     /// Appends an event.
@@ -205,7 +214,7 @@ impl RecordingWriter {
                 let head = DepthV1 { timestamp_ns: d.timestamp_ns, missing_packets: d.missing_packets };
                 let head = to_bytes(&head).map_err(refuse)?;
                 self.coded.clear();
-                depth::encode(&d.depth, w as usize, &mut self.coded);
+                self.encoder.encode(&d.depth, w as usize, &mut self.coded);
                 self.file.write(DEPTH, &[&head, &self.coded])
             }
             Event::Color(c) => {
@@ -223,15 +232,25 @@ impl RecordingWriter {
                 let v1 = AccelerometerV1 { timestamp_ns: a.timestamp_ns, acceleration: a.acceleration };
                 self.file.write(ACCELEROMETER, &[&to_bytes(&v1).map_err(refuse)?])
             }
-            Event::Packet(p) => {
-                let length = u16::try_from(p.data.len()).map_err(|_| refuse("a packet of 64 KiB".into()))?;
-                self.packets.extend(p.timestamp_ns.to_le_bytes());
-                self.packets.push(p.endpoint);
-                self.packets.extend(length.to_le_bytes());
-                self.packets.extend(&p.data);
-                if self.packets.len() >= PACKET_BATCH_BYTES { self.flush_packets() } else { Ok(()) }
-            }
+            Event::Packet(p) => self.write_packet(p.timestamp_ns, p.endpoint, &p.data),
         }
+    }
+
+    /// Appends a USB packet; packets are written in batches.
+    ///
+    /// # Errors
+    /// As [`RecordingWriter::write`].
+    pub fn write_packet(&mut self, timestamp_ns: i64, endpoint: u8, data: &[u8]) -> Result<()> {
+        let refuse = |problem: &str| Error::invalid(self.file.path(), problem, "record again");
+        if self.kind != RecordingKind::Packets {
+            return Err(refuse("a packet does not belong in a recording of frames"));
+        }
+        let length = u16::try_from(data.len()).map_err(|_| refuse("a packet of 64 KiB"))?;
+        self.packets.extend(timestamp_ns.to_le_bytes());
+        self.packets.push(endpoint);
+        self.packets.extend(length.to_le_bytes());
+        self.packets.extend(data);
+        if self.packets.len() >= PACKET_BATCH_BYTES { self.flush_packets() } else { Ok(()) }
     }
 
     fn flush_packets(&mut self) -> Result<()> {

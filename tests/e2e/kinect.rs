@@ -42,7 +42,7 @@ fn frames_are_recorded_and_counted() {
     let c = recorded(dir.path(), "a.lrec", "pattern,fast,loss=0.01", &["--seconds", "2"]);
     let depth = &c["counters"]["depth"];
     assert!(depth["frames"].as_u64().unwrap() >= 60 && depth["missing"].as_u64().unwrap() > 50, "{c}");
-    assert_eq!(c["counters"]["ring_dropped"], 0);
+    assert_eq!(c["counters"]["depth"]["dropped_frames"], 0);
     let seen = json(&["--json", "inspect", &arg(dir.path().join("a.lrec"))]);
     assert!(seen.to_string().contains("SIMULATED0000001"), "{seen}");
 }

@@ -8,21 +8,17 @@ use crate::commands::settings::load;
 use crate::device_folder::disk;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
+use crate::kinect::frame_queue::Wanted;
 use crate::kinect::live::{Live, LiveStats, Polled};
 use crate::kinect::protocol::KinectError;
 use crate::report::{Reporter, Step};
 use crate::sources::sensor;
 use crate::stop::Stop;
-use crossbeam_channel::{Receiver, bounded};
 use recordings::recording::{Event, RecordingKind, RecordingWriter};
-use recordings::types::{Accelerometer, UsbPacket};
+use recordings::types::Accelerometer;
 use serde_json::json;
 use std::path::Path;
 
-/// Batches waiting for the disk: a second of frames, or three of packets (of at most 2.4 MB each).
-const QUEUED: usize = 64;
-/// Bytes of packets in a batch: the queue then holds some seconds of them while the disk pauses.
-const BATCH_BYTES: usize = 1 << 20;
 /// Bytes per second of raw packets, file headers included.
 const RAW_RATE: f64 = 22.5e6;
 /// Bytes per second of compressed frames, at most.
@@ -47,36 +43,25 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
     let (kind, content) =
         if args.raw { (RecordingKind::Packets, "packets") } else { (RecordingKind::Frames, "frames") };
     let described = sensor::describe(&kinect, &config);
-    let writer =
-        RecordingWriter::create(&args.output, kind, &described).map_err(|e| Failure::Internal(e.to_string()))?;
-    let live = Live::start(kinect, &config.kinect).map_err(sensor::failure)?;
+    let writer = RecordingWriter::create(&args.output, kind, &described).map_err(internal)?;
+    let wanted = if args.raw { Wanted::Packets } else { Wanted::AllFrames };
+    let live = Live::start(kinect, wanted, &config.kinect).map_err(sensor::failure)?;
     let stop = Stop::on_signals()?;
-    let (out, events) = bounded::<Vec<Event>>(QUEUED);
-    let (counted, gone) = std::thread::scope(|scope| {
-        let disk = std::thread::Builder::new()
-            .name("disk".into())
-            .spawn_scoped(scope, || write(writer, &events))
-            .map_err(|e| Failure::Internal(format!("thread `disk` could not be started: {e}")))?;
-        let session = Session::new(live, args.raw, args.seconds);
-        // A slow disk fills the queue and then the ring, which counts what it drops.
-        let streamed = session.run(&stop, reporter, |batch| out.send(batch).is_ok());
-        drop(out);
-        disk.join().unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())))?;
-        streamed
-    })?;
+    let (counted, gone) = Session::new(live, writer, args).run(&stop, reporter)?;
     reporter.clear();
     if as_json {
         print_json(&json!({ "recording": args.output, "kind": content, "counters": counters(&counted) }))?;
     } else {
         let (d, c) = (counted.streams.depth, counted.streams.color);
         tracing::info!(
-            "{} depth and {} colour frames, {} of them incomplete · {} packets, {} missing, {} dropped here",
+            "{} depth and {} colour frames, {} of them incomplete, {} dropped here · {} packets, {} missing, {} dropped here",
             d.frames,
             c.frames,
             d.incomplete_frames + c.incomplete_frames,
-            counted.ring.packets,
+            d.dropped_frames + c.dropped_frames,
+            counted.queue.packets,
             d.missing + c.missing,
-            counted.ring.dropped
+            counted.queue.dropped_packets
         );
         print(&args.output.display().to_string())?;
     }
@@ -89,41 +74,45 @@ pub fn run(args: &cli::Record, as_json: bool, reporter: &Reporter) -> Result<(),
     Ok(())
 }
 
-fn write(mut writer: RecordingWriter, events: &Receiver<Vec<Event>>) -> Result<(), Failure> {
-    for event in events.iter().flatten() {
-        writer.write(&event).map_err(|e| Failure::Internal(e.to_string()))?;
-    }
-    writer.finish().map_err(|e| Failure::Internal(e.to_string()))
-}
-
-/// A recording in progress.
+/// A recording in progress. One thread decodes, codes and writes: a slow disk fills the queue before it, whose frames are
+/// still packed.
 struct Session {
     live: Live,
+    writer: RecordingWriter,
     raw: bool,
     /// Length of the recording on the device's clock.
     seconds: Option<f64>,
     /// Device time of the first frame and of the newest, in nanoseconds.
     first: Option<i64>,
     newest: i64,
-    /// Events on their way to the disk, and the bytes of USB packets received meanwhile.
-    batch: Vec<Event>,
-    batch_bytes: usize,
+    /// Host time of the newest packet, in nanoseconds.
+    host_ns: i64,
+    /// Frames and readings to be written.
+    events: Vec<Event>,
 }
 
 impl Session {
-    fn new(live: Live, raw: bool, seconds: Option<f64>) -> Self {
-        // Commands and calibration come first: they say how the packets are to be decoded.
-        let batch = if raw { live.kinect().traffic().iter().cloned().map(Event::Packet).collect() } else { Vec::new() };
-        Self { live, raw, seconds, first: None, newest: 0, batch, batch_bytes: 0 }
+    fn new(live: Live, writer: RecordingWriter, args: &cli::Record) -> Self {
+        Self {
+            live,
+            writer,
+            raw: args.raw,
+            seconds: args.seconds,
+            first: None,
+            newest: 0,
+            host_ns: 0,
+            events: Vec::new(),
+        }
     }
 
-    /// Streams until the length is reached, a signal came, the Kinect is gone, or `out` accepts no more; true if it is gone.
-    fn run(
-        mut self,
-        stop: &Stop,
-        reporter: &Reporter,
-        out: impl Fn(Vec<Event>) -> bool,
-    ) -> Result<(LiveStats, bool), Failure> {
+    /// Streams until the length is reached, a signal came, or the Kinect is gone; true if it is gone.
+    fn run(mut self, stop: &Stop, reporter: &Reporter) -> Result<(LiveStats, bool), Failure> {
+        if self.raw {
+            // Commands and calibration come first: they say how the packets are to be decoded.
+            for p in self.live.kinect().traffic() {
+                self.writer.write_packet(p.timestamp_ns, p.endpoint, &p.data).map_err(internal)?;
+            }
+        }
         self.live.set_led(Led::Scanning);
         let mut silent = None;
         let gone = loop {
@@ -132,11 +121,7 @@ impl Session {
                 silent = Some(stream);
             }
             let polled = self.poll();
-            let full = if self.raw { self.batch_bytes >= BATCH_BYTES } else { !self.batch.is_empty() };
-            let accepted = !full || {
-                self.batch_bytes = 0;
-                out(std::mem::take(&mut self.batch))
-            };
+            self.write()?;
             self.report(reporter);
             match polled {
                 Ok(Polled::Gone) => break true,
@@ -146,49 +131,51 @@ impl Session {
                     break true;
                 }
                 Err(e) => return Err(sensor::failure(e)),
-                Ok(_) if self.is_over() || !accepted || stop.check().is_err() => break false,
+                Ok(_) if self.is_over() || stop.check().is_err() => break false,
                 Ok(_) => {}
             }
         };
-        // The disk thread returns its own error.
-        let _ = out(self.batch);
         self.live.set_led(if gone { Led::Error } else { Led::Ready });
-        Ok((self.live.stats(), gone))
+        let counted = self.live.stats();
+        // The streams end first: syncing the file takes time.
+        drop(self.live);
+        self.writer.finish().map_err(internal)?;
+        Ok((counted, gone))
     }
 
-    /// Moves what the Kinect sent into the batch.
+    /// Takes what the Kinect sent.
     fn poll(&mut self) -> Result<Polled, KinectError> {
-        let (raw, bytes) = (self.raw, &mut self.batch_bytes);
-        let (mut packets, mut events, mut host_ns) = (Vec::new(), Vec::new(), 0);
-        let polled = self.live.poll(
-            &mut |p, data| {
-                host_ns = p.host_ns;
-                *bytes += data.len();
-                if raw {
-                    let packet = UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() };
-                    packets.push(Event::Packet(packet));
-                }
-            },
-            &mut |event| events.push(event),
-        );
-        for event in &events {
+        let Self { live, events, .. } = self;
+        let polled = live.poll(&mut |event| events.push(event));
+        for event in &self.events {
             if matches!(event, Event::Depth(_) | Event::Color(_)) {
                 let t = event.timestamp_ns();
                 self.first = Some(self.first.map_or(t, |f| f.min(t)));
                 self.newest = self.newest.max(t);
             }
         }
-        if raw {
-            // On the packets' clock, and before them: gravity is known before the first frame.
-            self.batch.extend(events.into_iter().filter_map(|e| match e {
-                Event::Accelerometer(a) => Some(Event::Accelerometer(Accelerometer { timestamp_ns: host_ns, ..a })),
-                _ => None,
-            }));
-            self.batch.append(&mut packets);
-        } else {
-            self.batch.append(&mut events);
-        }
         polled
+    }
+
+    /// Writes what was taken.
+    fn write(&mut self) -> Result<(), Failure> {
+        self.host_ns = self.live.packets().last().map_or(self.host_ns, |p| p.host_ns);
+        for event in self.events.drain(..) {
+            match event {
+                _ if !self.raw => self.writer.write(&event).map_err(internal)?,
+                // On the packets' clock, and before them: gravity is known before the first frame.
+                Event::Accelerometer(a) => {
+                    let reading = Accelerometer { timestamp_ns: self.host_ns, ..a };
+                    self.writer.write(&Event::Accelerometer(reading)).map_err(internal)?;
+                }
+                _ => {}
+            }
+            self.live.buffers().recycle(event);
+        }
+        for p in self.live.packets() {
+            self.writer.write_packet(p.host_ns, p.endpoint, p.data).map_err(internal)?;
+        }
+        Ok(())
     }
 
     /// Seconds recorded, on the device's clock.
@@ -212,13 +199,18 @@ impl Session {
     }
 }
 
+fn internal(e: recordings::error::Error) -> Failure {
+    Failure::Internal(e.to_string())
+}
+
 /// Every counter of a session, for programs.
 pub fn counters(s: &LiveStats) -> serde_json::Value {
     let stream = |p: &crate::kinect::packet_assembler::PacketStats| {
         json!({ "packets": p.packets, "missing": p.missing, "short": p.short, "garbage": p.garbage, "stale": p.stale,
                 "skipped": p.skipped, "resyncs": p.resyncs, "frames": p.frames,
-                "incomplete_frames": p.incomplete_frames, "lost_frames": p.lost_frames })
+                "incomplete_frames": p.incomplete_frames, "lost_frames": p.lost_frames,
+                "dropped_frames": p.dropped_frames })
     };
-    json!({ "ring_packets": s.ring.packets, "ring_dropped": s.ring.dropped, "bad_status": s.ring.bad_status,
+    json!({ "packets": s.queue.packets, "dropped_packets": s.queue.dropped_packets, "bad_status": s.queue.flagged,
             "restarts": s.restarts, "depth": stream(&s.streams.depth), "color": stream(&s.streams.color) })
 }

@@ -7,6 +7,7 @@ use crate::device_folder::retention;
 use crate::device_folder::staging::Staging;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
+use crate::kinect::frame_queue::Wanted;
 use crate::kinect::live::{Live, Polled};
 use crate::kinect::protocol::KinectError;
 use crate::kinect::transport::{Bus, UsbError};
@@ -130,7 +131,7 @@ impl Daemon<'_> {
         let mut looked = Instant::now();
         while self.stop.check().is_ok() && !self.orders.is_auto() {
             if self.orders.take_start() {
-                return self.started(Live::start(kinect, &self.config.kinect));
+                return self.started(Live::start(kinect, Wanted::NewFrames, &self.config.kinect));
             }
             if looked.elapsed() >= DEVICE_POLL {
                 looked = Instant::now();
@@ -147,22 +148,25 @@ impl Daemon<'_> {
     /// Streams until the sensor has been still and then moves; `None` when it is unplugged, motion no longer starts scans, or
     /// the daemon is to end.
     fn wait_for_motion(&self, kinect: Kinect) -> Option<Live> {
-        let mut live = self.started(Live::start(kinect, &self.config.kinect))?;
+        let mut live = self.started(Live::start(kinect, Wanted::NewFrames, &self.config.kinect))?;
+        let buffers = live.buffers().clone();
         let mut motion = Motion::new(&self.config.daemon);
         let mut armed = false;
         while self.stop.check().is_ok() && self.orders.is_auto() {
-            let polled = live.poll(&mut |_, _| {}, &mut |event| {
+            let polled = live.poll(&mut |event| {
                 match &event {
                     Event::Color(c) => motion.add_color(c),
                     Event::Depth(d) => motion.add_depth(d),
                     _ => None,
                 };
+                buffers.recycle(event);
             });
             match polled {
                 Ok(Polled::Gone) => return None,
                 Ok(_) => {}
                 Err(e) => return self.started(Err(e)),
             }
+            self.board.driver(&live.stats(), live.exposure_us());
             armed |= motion.still_s() >= self.config.daemon.start_still_s;
             if self.orders.take_start() || (armed && motion.is_moving()) {
                 return Some(live);

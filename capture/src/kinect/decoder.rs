@@ -1,8 +1,10 @@
 //! USB packets to frames: assembly, decoding and time stamps. A live Kinect and a recording of packets use the same code, so
 //! a recording replays bit for bit.
 
+use crate::kinect::buffers::{Buffers, Pool};
 use crate::kinect::clock::DeviceClock;
 use crate::kinect::depth_decoder::DepthDecoder;
+use crate::kinect::frame_queue::StreamKind;
 use crate::kinect::packet_assembler::{Assembled, Assembler, PacketStats};
 use crate::kinect::protocol::{CONTROL_IN, CONTROL_OUT, KinectError, StreamParameters};
 use firmware_config::kinect_models::{BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, StreamFormat};
@@ -16,24 +18,68 @@ pub struct DecoderStats {
     pub depth: PacketStats,
     /// Colour.
     pub color: PacketStats,
-    /// Packets of unknown endpoints.
-    pub strays: u64,
 }
 
 /// Turns packets into frames.
 #[derive(Default)]
 pub struct Decoder {
     parameters: StreamParameters,
-    clock: DeviceClock,
     streams: Option<Streams>,
-    strays: u64,
 }
 
 struct Streams {
     depth: Assembler,
-    decoder: DepthDecoder,
     color: Assembler,
+    frames: FrameDecoder,
+}
+
+/// Turns assembled frames into images with time stamps.
+pub struct FrameDecoder {
+    clock: DeviceClock,
+    depth: DepthDecoder,
     color_format: &'static StreamFormat,
+    buffers: Buffers,
+}
+
+impl FrameDecoder {
+    /// For streams that were started with these parameters. Frames are decoded into `buffers`, and what is done with goes back
+    /// there.
+    ///
+    /// # Errors
+    /// The calibration is missing or implausible.
+    pub fn new(parameters: &StreamParameters, buffers: Buffers) -> Result<Self, KinectError> {
+        let calibration = parameters.calibration()?;
+        let (depth_format, color_format) = formats(parameters);
+        let depth = DepthDecoder::new(&calibration, depth_format, buffers.depth.clone());
+        Ok(Self { clock: DeviceClock::default(), depth, color_format, buffers })
+    }
+
+    /// Decodes a frame; `host_ns` is the time of arrival of its last packet.
+    pub fn decode(&mut self, stream: StreamKind, host_ns: i64, frame: Assembled) -> Event {
+        let time = self.clock.unwrap(frame.ticks, host_ns);
+        match stream {
+            StreamKind::Depth => {
+                let decoded = self.depth.decode(&frame.bytes, &frame.missing, time);
+                self.buffers.packed.give(frame.bytes);
+                Event::Depth(decoded)
+            }
+            StreamKind::Color => Event::Color(ColorFrame {
+                timestamp_ns: time,
+                width: self.color_format.width,
+                height: self.color_format.height,
+                encoding: ColorEncoding::BayerGrbg,
+                missing_packets: frame.missing.len() as u32,
+                bytes: frame.bytes,
+            }),
+        }
+    }
+}
+
+/// Formats of depth and colour.
+fn formats(parameters: &StreamParameters) -> (&'static StreamFormat, &'static StreamFormat) {
+    let depth = if parameters.is_depth_10() { &DEPTH_10 } else { &DEPTH_11 };
+    let color = if parameters.is_color_sxga() { &BAYER_SXGA } else { &BAYER_VGA };
+    (depth, color)
 }
 
 impl Decoder {
@@ -56,36 +102,13 @@ impl Decoder {
             Some(streams) => streams,
             none => none.insert(Streams::new(&self.parameters)?),
         };
-        let clock = &mut self.clock;
+        let Streams { depth, color, frames } = streams;
         if endpoint == DEPTH_11.endpoint {
-            let decoder = &mut streams.decoder;
-            streams.depth.push(data, &mut |f: Assembled| {
-                sink(Event::Depth(decoder.decode(&f.bytes, &f.missing, clock.unwrap(f.ticks, host_ns))));
-            });
+            depth.push(data, &mut |f| sink(frames.decode(StreamKind::Depth, host_ns, f)));
         } else if endpoint == BAYER_VGA.endpoint {
-            let format = streams.color_format;
-            streams.color.push(data, &mut |f: Assembled| {
-                sink(Event::Color(ColorFrame {
-                    timestamp_ns: clock.unwrap(f.ticks, host_ns),
-                    width: format.width,
-                    height: format.height,
-                    encoding: ColorEncoding::BayerGrbg,
-                    missing_packets: f.missing.len() as u32,
-                    bytes: f.bytes,
-                }));
-            });
-        } else {
-            self.strays += 1;
+            color.push(data, &mut |f| sink(frames.decode(StreamKind::Color, host_ns, f)));
         }
         Ok(())
-    }
-
-    /// Ends the streams: incomplete last frames are counted as lost.
-    pub fn end(&mut self) {
-        if let Some(streams) = &mut self.streams {
-            streams.depth.end();
-            streams.color.end();
-        }
     }
 
     /// Counters.
@@ -93,20 +116,15 @@ impl Decoder {
     pub fn stats(&self) -> DecoderStats {
         let (depth, color) =
             self.streams.as_ref().map_or_else(Default::default, |s| (s.depth.stats(), s.color.stats()));
-        DecoderStats { depth, color, strays: self.strays }
+        DecoderStats { depth, color }
     }
 }
 
 impl Streams {
     fn new(parameters: &StreamParameters) -> Result<Self, KinectError> {
-        let calibration = parameters.calibration()?;
-        let depth_format = if parameters.is_depth_10() { &DEPTH_10 } else { &DEPTH_11 };
-        let color_format = if parameters.is_color_sxga() { &BAYER_SXGA } else { &BAYER_VGA };
-        Ok(Self {
-            depth: Assembler::new(depth_format),
-            decoder: DepthDecoder::new(&calibration, depth_format),
-            color: Assembler::new(color_format),
-            color_format,
-        })
+        let (depth, color) = formats(parameters);
+        let packed = Pool::new(depth.frame_bytes(), 0, 1);
+        let frames = FrameDecoder::new(parameters, Buffers { packed: packed.clone(), ..Buffers::default() })?;
+        Ok(Self { depth: Assembler::pooled(depth, packed), color: Assembler::new(color), frames })
     }
 }

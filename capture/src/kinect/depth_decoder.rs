@@ -1,5 +1,6 @@
 //! Packed raw depth frames to depth images in millimetres with the colour camera's pixels.
 
+use crate::kinect::buffers::Pool;
 use crate::kinect::calibration::Calibration;
 use crate::kinect::depth_unpacking::unpack;
 use crate::kinect::registration::{HEIGHT, NO_DEPTH, RAW_VALUES, SUBPIXELS, WIDTH, depth_table, registration_table};
@@ -14,18 +15,20 @@ pub struct DepthDecoder {
     table: Vec<[i32; 2]>,
     start_lines: usize,
     raw: Vec<u16>,
+    images: Pool<u16>,
 }
 
 impl DepthDecoder {
-    /// For one device and format.
+    /// For one device and format; images are made in the buffers of a pool.
     #[must_use]
-    pub fn new(calibration: &Calibration, format: &'static StreamFormat) -> Self {
+    pub fn new(calibration: &Calibration, format: &'static StreamFormat, images: Pool<u16>) -> Self {
         Self {
             format,
             lookup: depth_table(calibration, format),
             table: registration_table(&calibration.registration),
             start_lines: usize::from(calibration.start_lines),
             raw: Vec::with_capacity(WIDTH * HEIGHT),
+            images,
         }
     }
 
@@ -38,7 +41,9 @@ impl DepthDecoder {
             let pixels = self.pixels_of(usize::from(packet));
             self.raw.get_mut(pixels).into_iter().flatten().for_each(|p| *p = NO_DEPTH);
         }
-        let mut depth = vec![0u16; WIDTH * HEIGHT];
+        let mut depth = self.images.take();
+        depth.clear();
+        depth.resize(WIDTH * HEIGHT, 0);
         for (&raw, &[x, y]) in self.raw.iter().zip(&self.table) {
             let (mm, shift) = self.lookup[usize::from(raw) & (RAW_VALUES - 1)];
             if mm == 0 {
@@ -85,7 +90,7 @@ mod tests {
     fn pixels_of_a_missing_packet_have_no_value_and_no_others() {
         for format in [&DEPTH_11, &DEPTH_10] {
             let calibration = Calibration { zero_plane: PLANE, registration: identity_block(), start_lines: 0 };
-            let mut decoder = DepthDecoder::new(&calibration, format);
+            let mut decoder = DepthDecoder::new(&calibration, format, Pool::default());
             let mut packed = pack(&vec![700; WIDTH * HEIGHT], format.bits);
             let whole = decoder.decode(&packed, &[], 0);
             let start = 100 * format.payload;
@@ -107,7 +112,7 @@ mod tests {
         fn whatever_the_block(words in proptest::array::uniform29(any::<i32>()), bytes in proptest::collection::vec(any::<u8>(), 0..500),
                               start_lines: u16, missing in proptest::collection::vec(any::<u16>(), 0..3)) {
             let calibration = Calibration { zero_plane: PLANE, registration: Registration::from_words(words), start_lines };
-            let frame = DepthDecoder::new(&calibration, &DEPTH_11).decode(&bytes, &missing, 0);
+            let frame = DepthDecoder::new(&calibration, &DEPTH_11, Pool::default()).decode(&bytes, &missing, 0);
             prop_assert!(frame.depth.len() == WIDTH * HEIGHT && frame.depth.iter().all(|&d| usize::from(d) < MAX_MM));
         }
     }

@@ -1,6 +1,6 @@
 //! One Kinect: opening, calibration, start and stop of the streams, LED, accelerometer and exposure register.
 
-use crate::kinect::packet_ring::{PacketSource, RING_BYTES, packet_ring};
+use crate::kinect::frame_queue::FrameSource;
 use crate::kinect::protocol::{Commands, KinectError};
 use crate::kinect::transport::{Bus, Found, Setup, Transport, UsbError};
 use firmware_config::KinectConfig;
@@ -120,13 +120,12 @@ impl Kinect {
         self.commands.traffic()
     }
 
-    /// Starts depth and colour. The transfers are submitted first, then the registers are written.
+    /// Starts depth and colour, whose frames go to `source`. The transfers are submitted first, then the registers are written.
     ///
     /// # Errors
     /// Unplugged, no bandwidth, or no answer; nothing streams then.
-    pub fn start(&mut self) -> Result<PacketSource, KinectError> {
-        let (sink, mut source) = packet_ring(RING_BYTES);
-        self.usb.start(&[self.depth.endpoint, self.color.endpoint], sink)?;
+    pub fn start(&mut self, source: &mut FrameSource) -> Result<(), KinectError> {
+        self.usb.start(&[self.depth.endpoint, self.color.endpoint], source.sink())?;
         self.streaming = true;
         let registers = self.depth.start.iter().chain(self.color.start);
         for &(register, value) in registers {
@@ -135,9 +134,9 @@ impl Kinect {
                 return Err(e);
             }
         }
-        // Packets pile up while slow commands are waited for.
+        // Frames pile up while slow commands are waited for.
         source.discard_if_overflowed();
-        Ok(source)
+        Ok(())
     }
 
     /// Stops both streams: registers first, then the transfers are cancelled and drained.

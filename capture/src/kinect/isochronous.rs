@@ -19,7 +19,7 @@
 //!    reached from the transfer's own raw pointer, never through a reference to the zero-length field.
 #![allow(unsafe_code)]
 
-use crate::kinect::packet_ring::PacketSink;
+use crate::kinect::frame_queue::PacketSink;
 use crate::kinect::transport::UsbError;
 use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
 use rusb::ffi::{self, constants as c};
@@ -109,7 +109,7 @@ fn submit(transfer: NonNull<ffi::libusb_transfer>, callback: &Callback) -> i32 {
     code
 }
 
-/// Called by libusb when a transfer has completed: copies its packets to the ring and submits it again.
+/// Called by libusb when a transfer has completed: hands over its packets and submits it again.
 extern "system" fn completed(transfer: *mut ffi::libusb_transfer) {
     let Some(transfer) = NonNull::new(transfer) else { return };
     let t = transfer.as_ptr();
@@ -140,7 +140,7 @@ extern "system" fn completed(transfer: *mut ffi::libusb_transfer) {
     callback.in_flight.fetch_sub(1, Ordering::AcqRel);
 }
 
-/// Copies the packets of a completed transfer to the ring; empty ones are normal and left out.
+/// Hands over the packets of a completed transfer; empty ones are normal and left out.
 ///
 /// # Safety
 /// `t` is a completed transfer made by [`Transfer::new`].
@@ -157,19 +157,17 @@ unsafe fn take_packets(t: *mut ffi::libusb_transfer, callback: &Callback) {
         ((*t).endpoint, std::slice::from_raw_parts((*t).buffer, length), descriptors)
     };
     let mut start = 0;
-    for d in descriptors {
+    let mut flagged = 0;
+    let packets = descriptors.iter().filter_map(|d| {
         // Packet k stands at k times the packet size, whatever its actual length.
         let packet = buffer.get(start..start + d.actual_length as usize);
         start += d.length as usize;
-        match packet {
-            Some(packet) if d.status == c::LIBUSB_TRANSFER_COMPLETED && d.actual_length <= d.length => {
-                if !packet.is_empty() {
-                    sink.push(endpoint, host_ns, packet);
-                }
-            }
-            _ => sink.bad_status(),
-        }
-    }
+        let good = d.status == c::LIBUSB_TRANSFER_COMPLETED && d.actual_length <= d.length;
+        flagged += u64::from(!good || packet.is_none());
+        packet.filter(|p| good && !p.is_empty())
+    });
+    sink.push(endpoint, host_ns, packets);
+    sink.flag(flagged);
 }
 
 /// The transfers of both endpoints, and the thread that handles libusb's events.

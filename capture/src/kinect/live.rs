@@ -1,9 +1,10 @@
-//! A streaming session: takes packets from the ring, decodes them, delivers frames, and restarts silent streams.
+//! A streaming session: takes frames from the queue, decodes them, delivers them, and restarts silent streams.
 
-use crate::kinect::decoder::{Decoder, DecoderStats};
+use crate::kinect::buffers::Buffers;
+use crate::kinect::decoder::{DecoderStats, FrameDecoder};
 use crate::kinect::driver::{Kinect, Led};
-use crate::kinect::packet_ring::{Arrived, PacketSource, RingStats};
-use crate::kinect::protocol::KinectError;
+use crate::kinect::frame_queue::{Arrived, FrameSource, QueueStats, StreamKind, Wanted, frame_queue, packets_of};
+use crate::kinect::protocol::{KinectError, StreamParameters};
 use crate::kinect::transport::UsbError;
 use firmware_config::KinectConfig;
 use recordings::recording::Event;
@@ -11,31 +12,20 @@ use recordings::types::Accelerometer;
 use std::fmt::{Display, Formatter};
 use std::time::Duration;
 
-/// Largest packet of any endpoint.
-const PACKET_BYTES: usize = 3072;
-/// Packets per call of [`Live::poll`]: about two frames.
-const BATCH: usize = 800;
-/// Pause when the ring is empty.
-const EMPTY_PAUSE: Duration = Duration::from_millis(3);
+/// Frames per call of [`Live::poll`]: one of each stream.
+const BATCH: usize = 2;
+/// Longest wait for a frame.
+const EMPTY_PAUSE: Duration = Duration::from_millis(20);
 
 /// Outcome of [`Live::poll`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Polled {
-    /// Packets.
+    /// Frames or packets.
     Some,
     /// Nothing yet.
     Nothing,
     /// The Kinect is unplugged, and everything it sent has been delivered.
     Gone,
-}
-
-/// One of the two streams.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum StreamKind {
-    /// Depth.
-    Depth,
-    /// Colour.
-    Color,
 }
 
 impl Display for StreamKind {
@@ -50,8 +40,8 @@ impl Display for StreamKind {
 /// Counters of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct LiveStats {
-    /// Counters before the assembler.
-    pub ring: RingStats,
+    /// Counters of the queue between the USB callback and the reader.
+    pub queue: QueueStats,
     /// Counters of assembly.
     pub streams: DecoderStats,
     /// Times the streams were restarted.
@@ -61,9 +51,11 @@ pub struct LiveStats {
 /// A streaming Kinect.
 pub struct Live {
     kinect: Kinect,
-    source: PacketSource,
-    decoder: Decoder,
-    buffer: Box<[u8; PACKET_BYTES]>,
+    source: FrameSource,
+    decoder: FrameDecoder,
+    buffers: Buffers,
+    /// Packets that the last call of [`Live::poll`] took.
+    batch: Option<Vec<u8>>,
     silence: Duration,
     accelerometer_every: Option<Duration>,
     next_accelerometer: Duration,
@@ -78,8 +70,6 @@ pub struct Live {
     max_restarts: u32,
     restarts_in_a_row: u32,
     restarts: u32,
-    /// Ring counters before the last restart.
-    earlier: RingStats,
 }
 
 impl Live {
@@ -87,20 +77,21 @@ impl Live {
     ///
     /// # Errors
     /// Unplugged, no bandwidth, or no answer.
-    pub fn start(mut kinect: Kinect, config: &KinectConfig) -> Result<Self, KinectError> {
+    pub fn start(mut kinect: Kinect, wanted: Wanted, config: &KinectConfig) -> Result<Self, KinectError> {
         let accelerometer_every =
             (config.accelerometer_hz > 0).then(|| Duration::from_secs(1) / config.accelerometer_hz);
         let pending_acceleration = accelerometer_every.and_then(|_| kinect.accelerometer());
-        let source = kinect.start()?;
-        let mut decoder = Decoder::default();
-        for packet in kinect.traffic() {
-            decoder.push(packet.endpoint, 0, &packet.data, &mut |_| {})?;
-        }
+        let (mut source, buffers) = frame_queue(kinect.depth_format(), kinect.color_format(), wanted);
+        kinect.start(&mut source)?;
+        let mut parameters = StreamParameters::default();
+        kinect.traffic().iter().for_each(|packet| parameters.observe(packet.endpoint, &packet.data));
+        let decoder = FrameDecoder::new(&parameters, buffers.clone())?;
         let now = kinect.now();
         Ok(Self {
             source,
             decoder,
-            buffer: Box::new([0; PACKET_BYTES]),
+            buffers,
+            batch: None,
             silence: Duration::from_millis(u64::from(config.silence_ms)),
             accelerometer_every,
             next_accelerometer: accelerometer_every.map_or(now, |every| now + every),
@@ -113,7 +104,6 @@ impl Live {
             max_restarts: config.tuning.session.max_restarts,
             restarts_in_a_row: 0,
             restarts: 0,
-            earlier: RingStats::default(),
             kinect,
         })
     }
@@ -132,16 +122,14 @@ impl Live {
     /// Counters.
     #[must_use]
     pub fn stats(&self) -> LiveStats {
-        let ring = self.source.stats();
-        LiveStats {
-            ring: RingStats {
-                packets: self.earlier.packets + ring.packets,
-                dropped: self.earlier.dropped + ring.dropped,
-                bad_status: self.earlier.bad_status + ring.bad_status,
-            },
-            streams: self.decoder.stats(),
-            restarts: self.restarts,
-        }
+        let (queue, [depth, color]) = self.source.stats();
+        LiveStats { queue, streams: DecoderStats { depth, color }, restarts: self.restarts }
+    }
+
+    /// Where the buffers of its frames go when they are done with.
+    #[must_use]
+    pub fn buffers(&self) -> &Buffers {
+        &self.buffers
     }
 
     /// True if the device waits for the reader, as only a simulated one does.
@@ -174,46 +162,38 @@ impl Live {
         }
     }
 
-    /// Decodes what is in the ring: `raw` receives every packet unchanged, `sink` the frames and readings. Sleeps [`EMPTY_PAUSE`]
-    /// if the ring is empty.
+    /// Decodes what waits in the queue: `sink` receives the frames and readings; the packets are in [`Live::packets`]. Waits at
+    /// most [`EMPTY_PAUSE`].
     ///
     /// # Errors
     /// The streams stay silent after the permitted number of restarts.
-    pub fn poll(
-        &mut self,
-        raw: &mut impl FnMut(Arrived, &[u8]),
-        sink: &mut impl FnMut(Event),
-    ) -> Result<Polled, KinectError> {
+    pub fn poll(&mut self, sink: &mut impl FnMut(Event)) -> Result<Polled, KinectError> {
+        self.source.wait(EMPTY_PAUSE);
         let gone = self.source.gone();
-        let mut taken = 0;
-        while taken < BATCH
-            && let Some(packet) = self.source.pop(self.buffer.as_mut_slice())
-        {
-            let data = &self.buffer[..packet.len];
-            raw(packet, data);
-            let (mut depth, mut color) = (false, false);
-            let (pending, newest) = (&mut self.pending_acceleration, &mut self.acceleration);
-            self.decoder.push(packet.endpoint, packet.host_ns, data, &mut |event| {
-                // A reading comes before the frames that it applies to.
-                if let Some(acceleration) = pending.take() {
-                    let reading = Accelerometer { timestamp_ns: event.timestamp_ns(), acceleration };
-                    sink(Event::Accelerometer(*newest.insert(reading)));
-                }
-                depth |= matches!(event, Event::Depth(_));
-                color |= matches!(event, Event::Color(_));
-                sink(event);
-            })?;
-            let now = self.kinect.now();
-            if depth {
-                (self.depth_seen, self.restarts_in_a_row) = (now, 0);
+        if let Some(batch) = self.batch.take() {
+            self.source.give(batch);
+        }
+        // Before the frames: a frame's packets come with it or after it.
+        self.batch = self.source.packets();
+        let mut taken = usize::from(self.batch.is_some());
+        for _ in 0..BATCH {
+            let Some(arrived) = self.source.frame() else { break };
+            let event = self.decoder.decode(arrived.stream, arrived.host_ns, arrived.frame);
+            // A reading comes before the frames that it applies to.
+            if let Some(acceleration) = self.pending_acceleration.take() {
+                let reading = Accelerometer { timestamp_ns: event.timestamp_ns(), acceleration };
+                sink(Event::Accelerometer(*self.acceleration.insert(reading)));
             }
-            if color {
-                self.color_seen = now;
+            sink(event);
+            let now = self.kinect.now();
+            match arrived.stream {
+                StreamKind::Depth => (self.depth_seen, self.restarts_in_a_row) = (now, 0),
+                StreamKind::Color => self.color_seen = now,
             }
             taken += 1;
         }
         if taken == 0 && gone {
-            self.decoder.end();
+            self.source.end();
             return Ok(Polled::Gone);
         }
         // Packets without frames count as silence.
@@ -225,8 +205,12 @@ impl Live {
             self.read_sensors();
             return Ok(Polled::Some);
         }
-        std::thread::sleep(EMPTY_PAUSE);
         Ok(Polled::Nothing)
+    }
+
+    /// The packets that the last call of [`Live::poll`] took, where they are wanted. A reading of that call applies to them.
+    pub fn packets(&self) -> impl Iterator<Item = Arrived<'_>> {
+        packets_of(self.batch.as_deref().unwrap_or_default())
     }
 
     fn read_sensors(&mut self) {
@@ -252,9 +236,8 @@ impl Live {
         }
         tracing::warn!("the Kinect is silent; restarting its streams");
         self.kinect.stop();
-        self.decoder.end();
-        self.earlier = self.stats().ring;
-        self.source = self.kinect.start()?;
+        self.source.end();
+        self.kinect.start(&mut self.source)?;
         let now = self.kinect.now();
         (self.depth_seen, self.color_seen) = (now, now);
         Ok(())

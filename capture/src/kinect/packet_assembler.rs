@@ -1,6 +1,7 @@
 //! Isochronous packets to frames. A frame with missing packets is marked, never filled with older bytes, and every missing
 //! packet is counted.
 
+use crate::kinect::buffers::Pool;
 use firmware_config::kinect_models::{PACKET_HEADER, StreamFormat};
 
 /// A packet at most this many sequence numbers behind is late (or a duplicate), not 256 minus that ahead.
@@ -31,6 +32,8 @@ pub struct PacketStats {
     pub incomplete_frames: u64,
     /// Frames that were not delivered: empty, or without a known sequence.
     pub lost_frames: u64,
+    /// Frames that were turned away because whoever takes them was too slow.
+    pub dropped_frames: u64,
 }
 
 /// An assembled frame.
@@ -47,8 +50,12 @@ pub struct Assembled {
 /// Assembles the frames of one stream.
 pub struct Assembler {
     format: &'static StreamFormat,
+    pool: Pool<u8>,
+    /// The frame's bytes; empty before its first packet.
     bytes: Vec<u8>,
     received: Vec<bool>,
+    /// False while frames that begin are turned away.
+    accepting: bool,
     /// The frame being assembled; `None` while waiting for a first packet.
     current: Option<Current>,
     /// Sequence number of the newest packet.
@@ -64,6 +71,8 @@ struct Current {
     index: Option<usize>,
     ticks: u32,
     received: usize,
+    /// It was turned away: its packets are counted, not copied.
+    dropped: bool,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,10 +92,18 @@ impl Assembler {
     /// For one stream.
     #[must_use]
     pub fn new(format: &'static StreamFormat) -> Self {
+        Self::pooled(format, Pool::new(format.frame_bytes(), 0, 1))
+    }
+
+    /// For one stream, with frames in the buffers of a pool of [`StreamFormat::frame_bytes`] bytes each.
+    #[must_use]
+    pub fn pooled(format: &'static StreamFormat, pool: Pool<u8>) -> Self {
         Self {
             format,
-            bytes: vec![0; format.frame_bytes()],
+            pool,
+            bytes: Vec::new(),
             received: vec![false; format.packets()],
+            accepting: true,
             current: None,
             newest: None,
             newest_ticks: 0,
@@ -98,6 +115,22 @@ impl Assembler {
     #[must_use]
     pub fn stats(&self) -> PacketStats {
         self.stats
+    }
+
+    /// Takes a frame's buffer back.
+    pub fn give(&self, bytes: Vec<u8>) {
+        self.pool.give(bytes);
+    }
+
+    /// Whether frames that begin from now on are accepted, or turned away and counted.
+    pub fn set_accepting(&mut self, accepting: bool) {
+        self.accepting = accepting;
+    }
+
+    /// Begins anew, with these counters.
+    pub fn begin(&mut self, stats: PacketStats) {
+        self.reset();
+        (self.newest, self.newest_ticks, self.stats) = (None, 0, stats);
     }
 
     /// Takes a packet; passes each frame that it completes to `sink`.
@@ -150,8 +183,7 @@ impl Assembler {
         if self.current.is_some_and(|c| c.received > 0) {
             self.stats.lost_frames += 1;
         }
-        self.reset();
-        (self.newest, self.newest_ticks) = (None, 0);
+        self.begin(self.stats);
     }
 
     fn header(&self, packet: &[u8]) -> Option<Header> {
@@ -234,7 +266,6 @@ impl Assembler {
 
     fn reset(&mut self) {
         self.received.fill(false);
-        self.bytes.fill(0);
         self.current = None;
     }
 
@@ -244,8 +275,19 @@ impl Assembler {
         if header.ticks != 0 {
             current.ticks = header.ticks;
         }
+        if current.received == 0 {
+            current.dropped = !self.accepting;
+            if !current.dropped && self.bytes.is_empty() {
+                self.bytes = self.pool.take();
+            }
+        }
         let len = self.format.payload_of(index);
         let start = index * self.format.payload;
+        if current.dropped && payload.len() >= len {
+            current.received += 1;
+            self.stats.packets += 1;
+            return;
+        }
         match (payload.get(..len), self.bytes.get_mut(start..start + len), self.received.get_mut(index)) {
             (Some(from), Some(to), Some(received)) => {
                 to.copy_from_slice(from);
@@ -263,18 +305,26 @@ impl Assembler {
     /// Delivers the frame, unless it is empty, and prepares for the next.
     fn finish(&mut self, sink: &mut impl FnMut(Assembled)) {
         let Some(current) = self.current.replace(Current::default()) else { return };
+        if current.dropped {
+            self.stats.dropped_frames += 1;
+            return;
+        }
         // The first packet has no time stamp, so it is useless alone.
         if current.received == 0 || (current.received == 1 && current.ticks == 0 && self.format.packets() > 1) {
             self.stats.lost_frames += 1;
             self.received.fill(false);
-            self.bytes.fill(0);
             return;
         }
         let missing: Vec<u16> = self.received.iter().enumerate().filter(|(_, r)| !**r).map(|(i, _)| i as u16).collect();
+        self.received.fill(false);
         self.stats.frames += 1;
         self.stats.incomplete_frames += u64::from(!missing.is_empty());
-        let bytes = std::mem::replace(&mut self.bytes, vec![0; self.format.frame_bytes()]);
-        self.received.fill(false);
+        let mut bytes = std::mem::take(&mut self.bytes);
+        for &packet in &missing {
+            // What stands there is of an earlier frame.
+            let start = usize::from(packet) * self.format.payload;
+            bytes[start..start + self.format.payload_of(usize::from(packet))].fill(0);
+        }
         sink(Assembled { bytes, missing, ticks: current.ticks });
     }
 }
@@ -418,6 +468,37 @@ mod tests {
         check_honest(&DEPTH_11, &frames);
         assert_eq!((stats.short, stats.garbage, stats.missing), (1, 3, 4));
         assert_eq!(frames[1].missing, [58, 59, 68, 158]);
+    }
+
+    #[test]
+    fn frames_that_are_turned_away_are_whole_ones_and_counted() {
+        let packets = stream(&DEPTH_11, 4, 0);
+        let mut assembler = Assembler::pooled(&DEPTH_11, Pool::new(DEPTH_11.frame_bytes(), 1, 1));
+        let mut frames = Vec::new();
+        for (i, p) in packets.iter().enumerate() {
+            // From the middle of the first frame to the middle of the third.
+            assembler.set_accepting(!(100..600).contains(&i));
+            assembler.push(p, &mut |f| frames.push(f));
+        }
+        check_honest(&DEPTH_11, &frames);
+        let stats = assembler.stats();
+        assert_eq!(frames.iter().map(|f| f.ticks).collect::<Vec<_>>(), [0, 3].map(|f| ticks_of(&DEPTH_11, f)));
+        assert_eq!((stats.frames, stats.dropped_frames, stats.missing, stats.lost_frames), (2, 2, 0, 0));
+        assert_eq!(stats.packets, packets.len() as u64);
+    }
+
+    #[test]
+    fn a_hole_in_a_used_buffer_shows_nothing_of_the_frame_before() {
+        let mut packets = stream(&DEPTH_11, 3, 0);
+        packets.drain(300..320);
+        let mut assembler = Assembler::new(&DEPTH_11);
+        for p in &packets {
+            let mut done = Vec::new();
+            assembler.push(p, &mut |f| done.push(f));
+            check_honest(&DEPTH_11, &done);
+            done.into_iter().for_each(|f| assembler.give(f.bytes));
+        }
+        assert_eq!(assembler.stats().incomplete_frames, 1);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The boundary between the driver and what carries it: a real USB stack ([`crate::kinect::usb`]) or a simulated Kinect
 //! ([`crate::simulator`]). Below it transfers, above it the protocol.
 
-use crate::kinect::packet_ring::PacketSink;
+use crate::kinect::frame_queue::PacketSink;
 use firmware_config::kinect_models::{Model, Part};
 use std::time::Duration;
 

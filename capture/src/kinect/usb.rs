@@ -1,7 +1,7 @@
 //! The machine's USB buses through libusb (`rusb`): enumeration, opening, control and bulk transfers.
 
+use crate::kinect::frame_queue::PacketSink;
 use crate::kinect::isochronous::Streams;
-use crate::kinect::packet_ring::PacketSink;
 use crate::kinect::transport::{Bus, Found, Setup, Transport, UsbError};
 use firmware_config::kinect_models::{Model, Part, part_of};
 use rusb::{Context, Device, DeviceHandle, Direction, Recipient, RequestType, UsbContext, request_type};

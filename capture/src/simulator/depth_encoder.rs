@@ -78,6 +78,7 @@ pub fn pack(raw: &[u16], bits: u32) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinect::buffers::Pool;
     use crate::kinect::depth_decoder::DepthDecoder;
     use crate::simulator::calibration::calibration;
     use firmware_config::kinect_models::DEPTH_11;
@@ -85,7 +86,7 @@ mod tests {
     #[test]
     fn encoding_is_undone_by_decoding() {
         let encoder = DepthEncoder::new(&calibration(), &DEPTH_11);
-        let mut decoder = DepthDecoder::new(&calibration(), &DEPTH_11);
+        let mut decoder = DepthDecoder::new(&calibration(), &DEPTH_11, Pool::default());
         let depth: Vec<u16> =
             (0..WIDTH * HEIGHT).map(|i| if i % 97 == 0 { 0 } else { 900 + (i / WIDTH) as u16 }).collect();
         let packed = encoder.encode(&depth);

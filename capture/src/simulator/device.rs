@@ -1,7 +1,7 @@
 //! The opened simulated Kinect: commands, registers, LED and accelerometer. Input that a real Kinect would not accept is
 //! logged as a violation.
 
-use crate::kinect::packet_ring::PacketSink;
+use crate::kinect::frame_queue::PacketSink;
 use crate::kinect::protocol;
 use crate::kinect::transport::{Setup, Transport, UsbError};
 use crate::simulator::calibration::{PLANE, REGISTRATION_WORDS, calibration, fixed_parameters};

@@ -1,6 +1,6 @@
 //! The isochronous streams of the simulated Kinect: frames cut into packets, with the faults of the plan.
 
-use crate::kinect::packet_ring::PacketSink;
+use crate::kinect::frame_queue::PacketSink;
 use crate::simulator::plan::SimPlan;
 use crate::simulator::random::Random;
 use crate::simulator::scenery::Player;
@@ -122,7 +122,7 @@ impl Streamer {
             stream.spoilt += u64::from(!lost && (cut || garbled));
         });
         if flagged {
-            self.sink.bad_status();
+            self.sink.flag(1);
         }
         if lost {
             return;
@@ -146,10 +146,10 @@ impl Streamer {
 
     fn push(&mut self, endpoint: u8, packet: &[u8], time: Duration) {
         // On the simulated clock the device waits for the driver; in real time it does not.
-        while self.plan.fast && !self.sink.has_room(1, packet.len()) && !self.stop.load(Ordering::Relaxed) {
+        while self.plan.fast && !self.sink.has_room() && !self.stop.load(Ordering::Relaxed) {
             std::thread::sleep(Duration::from_micros(200));
         }
-        self.sink.push(endpoint, time.as_nanos() as i64, packet);
+        self.sink.push(endpoint, time.as_nanos() as i64, std::iter::once(packet));
     }
 }
 

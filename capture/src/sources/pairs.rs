@@ -1,6 +1,7 @@
 //! Colour and depth frames of a source, paired in order of time and played once or several times.
 
 use crate::failure::Failure;
+use crate::kinect::buffers::Buffers;
 use crate::sources::pairing::{Decided, Pairer};
 use crate::sources::sensor;
 use crate::sources::source::Source;
@@ -102,6 +103,15 @@ impl Pairs {
     #[must_use]
     pub fn drops_when_slow(&self) -> bool {
         matches!(&self.source, Source::Kinect(k) if k.drops_when_slow())
+    }
+
+    /// Where the buffers of its frames go when they are done with.
+    #[must_use]
+    pub fn buffers(&self) -> Buffers {
+        match &self.source {
+            Source::Kinect(k) => k.buffers(),
+            _ => Buffers::default(),
+        }
     }
 
     /// The sensor; the configuration fills in what the source does not state.

@@ -1,8 +1,10 @@
 //! The frames of a live scan, and the conditions that end it. Frames before the end are kept, whatever ended it.
 
 use crate::device_folder::disk::has_room;
+use crate::kinect::buffers::Buffers;
 use crate::kinect::driver::Led;
-use crate::kinect::live::{Live, Polled, StreamKind};
+use crate::kinect::frame_queue::StreamKind;
+use crate::kinect::live::{Live, Polled};
 use crate::orders::Orders;
 use crate::sources::motion::Motion;
 use crate::status::Board;
@@ -121,6 +123,12 @@ impl Streaming {
         !self.live.waits()
     }
 
+    /// Where the buffers of its frames go when they are done with.
+    #[must_use]
+    pub fn buffers(&self) -> Buffers {
+        self.live.buffers().clone()
+    }
+
     /// Packets that did not arrive.
     #[must_use]
     pub fn missing_packets(&self) -> u64 {
@@ -142,7 +150,7 @@ impl Streaming {
                 return self.end(ending);
             }
             let frames = &mut self.frames;
-            match self.live.poll(&mut |_, _| {}, &mut |event| frames.push_back(event)) {
+            match self.live.poll(&mut |event| frames.push_back(event)) {
                 Ok(Polled::Gone) => return self.end(Ending::Unplugged),
                 Ok(_) => {}
                 Err(e) if e.is_gone() => return self.end(Ending::Unplugged),

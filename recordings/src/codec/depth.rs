@@ -58,81 +58,130 @@ fn band_rows(band: usize, height: usize) -> std::ops::Range<usize> {
     band * height / BANDS..(band + 1) * height / BANDS
 }
 
-/// Codes a depth image of this width, appending to `out`.
-pub(crate) fn encode(depth: &[u16], width: usize, out: &mut Vec<u8>) {
-    let start = out.len();
-    out.push(CODED);
-    encode_indices(depth, width, out);
-    if out.len() - start > 2 * depth.len() {
-        out.truncate(start);
-        out.push(RAW);
-        out.extend(depth.iter().flat_map(|d| d.to_le_bytes()));
-    }
+/// Symbols of one band with their contexts, and its escaped indices.
+#[derive(Default)]
+struct BandSymbols {
+    symbols: Vec<(u8, u8)>,
+    escapes: Vec<u16>,
 }
 
-fn encode_indices(depth: &[u16], width: usize, out: &mut Vec<u8>) {
-    let mut index_of = vec![0u16; 1 << 16];
-    depth.iter().for_each(|d| index_of[usize::from(*d)] = 1);
-    index_of[0] = 0;
-    let present: Vec<u16> = (1..=u16::MAX).filter(|v| index_of[usize::from(*v)] > 0).collect();
-    put_varint(out, present.len() as u32);
-    let mut before = 0;
-    for (index, value) in present.iter().enumerate() {
-        put_varint(out, u32::from(value - before));
-        before = *value;
-        index_of[usize::from(*value)] = index as u16 + 1;
+/// Codes depth images; its tables are kept from frame to frame to save their allocation.
+pub(crate) struct DepthEncoder {
+    /// `[depth]` → its index among the values present, 0 = none.
+    index_of: Vec<u16>,
+    counts: Vec<[u32; SYMBOLS]>,
+    frequencies: Vec<[u32; SYMBOLS]>,
+    cumulative: Vec<[u32; SYMBOLS]>,
+    bands: [BandSymbols; BANDS],
+    above: Vec<u16>,
+    row: Vec<u16>,
+    words: Vec<u16>,
+}
+
+impl DepthEncoder {
+    pub(crate) fn new() -> Self {
+        Self {
+            index_of: vec![0; 1 << 16],
+            counts: vec![[0; SYMBOLS]; CONTEXTS],
+            frequencies: Vec::with_capacity(CONTEXTS),
+            cumulative: Vec::with_capacity(CONTEXTS),
+            bands: Default::default(),
+            above: Vec::new(),
+            row: Vec::new(),
+            words: Vec::new(),
+        }
     }
 
-    let height = depth.len() / width;
-    let mut counts = vec![[0u32; SYMBOLS]; CONTEXTS];
-    let bands: [_; BANDS] = std::array::from_fn(|band| {
-        let (mut symbols, mut escapes) = (Vec::new(), Vec::new());
-        let mut above = vec![0u16; width + 2];
-        let mut row = above.clone();
-        let mut last = 0;
-        for y in band_rows(band, height) {
-            for x in 0..width {
-                let index = index_of[usize::from(depth[y * width + x])];
-                let near = Neighbours { w: row[x], nw: above[x], n: above[x + 1], ne: above[x + 2] };
-                let (predicted, context) = near.predict(last);
-                let difference = i32::from(index) - i32::from(predicted);
-                let zigzag = ((difference << 1) ^ (difference >> 31)) as usize;
-                let symbol = if index == 0 { 0 } else { (zigzag + 1).min(ESCAPE) };
-                if symbol == ESCAPE {
-                    escapes.push(index);
-                }
-                if index > 0 {
-                    last = index;
-                }
-                counts[context][symbol] += 1;
-                symbols.push((context as u8, symbol as u8));
-                row[x + 1] = index;
-            }
-            std::mem::swap(&mut above, &mut row);
+    /// Codes a depth image of this width, appending to `out`.
+    pub(crate) fn encode(&mut self, depth: &[u16], width: usize, out: &mut Vec<u8>) {
+        let start = out.len();
+        out.push(CODED);
+        self.encode_indices(depth, width, out);
+        if out.len() - start > 2 * depth.len() {
+            out.truncate(start);
+            out.push(RAW);
+            out.extend(depth.iter().flat_map(|d| d.to_le_bytes()));
         }
-        (symbols, escapes)
-    });
+    }
 
-    let frequencies: Vec<[u32; SYMBOLS]> = counts.iter().map(normalise).collect();
-    frequencies.iter().for_each(|f| put_frequencies(out, f));
-    let cumulative: Vec<[u32; SYMBOLS]> = frequencies.iter().map(cumulate).collect();
-    for (symbols, escapes) in bands {
-        // Coded backwards, because decoding undoes it.
-        let mut state = STATE_LOW;
-        let mut words = Vec::new();
-        for (context, symbol) in symbols.iter().rev() {
-            let (c, s) = (usize::from(*context), usize::from(*symbol));
-            let frequency = frequencies[c][s];
-            if u64::from(state) >= u64::from(frequency) << (32 - PRECISION) {
-                words.push(state as u16);
-                state >>= 16;
+    fn encode_indices(&mut self, depth: &[u16], width: usize, out: &mut Vec<u8>) {
+        self.index_values(depth, out);
+        self.find_symbols(depth, width);
+        self.frequencies.clear();
+        self.frequencies.extend(self.counts.iter().map(normalise));
+        self.frequencies.iter().for_each(|f| put_frequencies(out, f));
+        self.cumulative.clear();
+        self.cumulative.extend(self.frequencies.iter().map(cumulate));
+        for band in &self.bands {
+            // Coded backwards, because decoding undoes it.
+            let mut state = STATE_LOW;
+            let words = &mut self.words;
+            words.clear();
+            for (context, symbol) in band.symbols.iter().rev() {
+                let (c, s) = (usize::from(*context), usize::from(*symbol));
+                let frequency = self.frequencies[c][s];
+                if u64::from(state) >= u64::from(frequency) << (32 - PRECISION) {
+                    words.push(state as u16);
+                    state >>= 16;
+                }
+                state = ((state / frequency) << PRECISION) + state % frequency + self.cumulative[c][s];
             }
-            state = ((state / frequency) << PRECISION) + state % frequency + cumulative[c][s];
+            words.extend([state as u16, (state >> 16) as u16]);
+            words.reverse();
+            put_words(out, &band.escapes);
+            put_words(out, words);
         }
-        words.extend([state as u16, (state >> 16) as u16]);
-        words.reverse();
-        put_words(out, &escapes);
-        put_words(out, &words);
+    }
+
+    /// Numbers the values that occur, and writes their table.
+    fn index_values(&mut self, depth: &[u16], out: &mut Vec<u8>) {
+        let index_of = &mut self.index_of;
+        index_of.fill(0);
+        depth.iter().for_each(|d| index_of[usize::from(*d)] = 1);
+        index_of[0] = 0;
+        put_varint(out, index_of.iter().map(|present| u32::from(*present)).sum());
+        let (mut before, mut index) = (0, 0);
+        for (value, place) in index_of.iter_mut().enumerate().filter(|(_, present)| **present > 0) {
+            put_varint(out, (value - before) as u32);
+            (before, index) = (value, index + 1);
+            *place = index;
+        }
+    }
+
+    /// Predicts each pixel, and counts the symbols that correct the predictions.
+    fn find_symbols(&mut self, depth: &[u16], width: usize) {
+        let Self { index_of, counts, bands, above, row, .. } = self;
+        let height = depth.len() / width;
+        counts.fill([0; SYMBOLS]);
+        for (band, BandSymbols { symbols, escapes }) in bands.iter_mut().enumerate() {
+            symbols.clear();
+            escapes.clear();
+            for line in [&mut *above, &mut *row] {
+                line.clear();
+                line.resize(width + 2, 0);
+            }
+            let mut last = 0;
+            for y in band_rows(band, height) {
+                for x in 0..width {
+                    let index = index_of[usize::from(depth[y * width + x])];
+                    let near = Neighbours { w: row[x], nw: above[x], n: above[x + 1], ne: above[x + 2] };
+                    let (predicted, context) = near.predict(last);
+                    let difference = i32::from(index) - i32::from(predicted);
+                    let zigzag = ((difference << 1) ^ (difference >> 31)) as usize;
+                    let symbol = if index == 0 { 0 } else { (zigzag + 1).min(ESCAPE) };
+                    if symbol == ESCAPE {
+                        escapes.push(index);
+                    }
+                    if index > 0 {
+                        last = index;
+                    }
+                    counts[context][symbol] += 1;
+                    symbols.push((context as u8, symbol as u8));
+                    row[x + 1] = index;
+                }
+                std::mem::swap(above, row);
+            }
+        }
     }
 }
 
@@ -196,7 +245,7 @@ impl DepthDecoder {
         Self { slots: vec![[Slot::default(); TOTAL as usize]; CONTEXTS] }
     }
 
-    /// Decodes an image that [`encode`] made.
+    /// Decodes an image that [`DepthEncoder`] made.
     pub(crate) fn decode(&mut self, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u16>, String> {
         let mut input = Input(bytes);
         match input.take(1)?[0] {
@@ -360,7 +409,7 @@ mod tests {
 
     fn round_trip(depth: &[u16], width: usize) -> usize {
         let mut bytes = vec![];
-        encode(depth, width, &mut bytes);
+        DepthEncoder::new().encode(depth, width, &mut bytes);
         let back = DepthDecoder::new().decode(&bytes, width, depth.len() / width).unwrap();
         assert!(back == depth);
         bytes.len()
@@ -398,7 +447,7 @@ mod tests {
         #[test]
         fn damage_never_panics(at in any::<usize>(), bit in 0u8..8, cut in any::<usize>()) {
             let mut bytes = vec![];
-            encode(&some_image(), 40, &mut bytes);
+            DepthEncoder::new().encode(&some_image(), 40, &mut bytes);
             let mut decoder = DepthDecoder::new();
             let _ = decoder.decode(&bytes[..cut % bytes.len()], 40, 30).unwrap_err();
             let at = at % bytes.len();

@@ -1,6 +1,7 @@
 //! Whole sessions with a simulated Kinect and its faults.
 
 use super::*;
+use crate::kinect::decoder::Decoder;
 use crate::kinect::transport::Bus;
 use crate::simulator::bus::SimBus;
 use crate::simulator::plan::SimPlan;
@@ -27,13 +28,13 @@ struct Session {
 
 /// Opens the Kinect on the bus and starts its streams.
 fn start(bus: &mut SimBus, config: &KinectConfig) -> Result<Live, KinectError> {
-    Live::start(Kinect::open(bus, "", config)?, config)
+    Live::start(Kinect::open(bus, "", config)?, Wanted::Packets, config)
 }
 
 /// Polls until the session fails.
 fn failure_of(mut live: Live) -> (KinectError, LiveStats) {
     loop {
-        if let Err(e) = live.poll(&mut |_, _| {}, &mut |_| {}) {
+        if let Err(e) = live.poll(&mut |_| {}) {
             return (e, live.stats());
         }
     }
@@ -44,19 +45,19 @@ fn session(bus: &mut SimBus, config: &KinectConfig) -> Result<Session, KinectErr
     let mut live = start(bus, config)?;
     let mut s = Session { packets: live.kinect().traffic().to_vec(), ..Session::default() };
     loop {
-        // Read before the ring is emptied.
+        // Read before the queue is emptied.
         let over = bus.log().over;
-        let polled = live.poll(
-            &mut |p, data| {
-                s.packets.push(UsbPacket { timestamp_ns: p.host_ns, endpoint: p.endpoint, data: data.to_vec() });
-            },
-            &mut |event| match event {
-                Event::Depth(d) => s.depth.push(d),
-                Event::Color(c) => s.color.push(c),
-                Event::Accelerometer(a) => s.accelerometer.push(a.acceleration),
-                Event::Packet(_) => {}
-            },
-        );
+        let polled = live.poll(&mut |event| match event {
+            Event::Depth(d) => s.depth.push(d),
+            Event::Color(c) => s.color.push(c),
+            Event::Accelerometer(a) => s.accelerometer.push(a.acceleration),
+            Event::Packet(_) => {}
+        });
+        s.packets.extend(live.packets().map(|p| UsbPacket {
+            timestamp_ns: p.host_ns,
+            endpoint: p.endpoint,
+            data: p.data.to_vec(),
+        }));
         match polled {
             Ok(Polled::Nothing) if over => {}
             Ok(Polled::Some | Polled::Nothing) => continue,
@@ -76,7 +77,7 @@ fn a_clean_session_is_complete_and_correct() {
         let log = bus.log();
         assert_eq!(log.violations, [""; 0], "{model:?}");
         assert_eq!((s.depth.len(), s.color.len()), (20, 20));
-        assert_eq!(s.stats.ring.packets, log.depth.packets + log.color.packets);
+        assert_eq!(s.stats.queue.packets, log.depth.packets + log.color.packets);
         assert_eq!((s.stats.streams.depth.missing, s.stats.streams.color.missing, s.stats.restarts), (0, 0, 0));
         // The clock wraps during the session.
         for pair in s.depth.windows(2) {
@@ -108,7 +109,7 @@ fn the_exposure_is_read_twice_a_second_at_most() {
     let mut bus = SimBus::new(SimPlan { not_ready: 200, ..plan() });
     let mut live = start(&mut bus, &KinectConfig { read_exposure: true, ..config() }).unwrap();
     while !bus.log().over {
-        live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
+        live.poll(&mut |_| {}).unwrap();
     }
     assert!(bus.log().exposures <= 8 && live.exposure_us().is_none());
 }
@@ -120,7 +121,7 @@ fn accelerometer_readings_have_device_time() {
     let mut live = start(&mut bus, &config()).unwrap();
     let mut events = Vec::new();
     while !bus.log().over {
-        live.poll(&mut |_, _| {}, &mut |event| events.push(event)).unwrap();
+        live.poll(&mut |event| events.push(event)).unwrap();
     }
     assert!(matches!(events[0], Event::Accelerometer(_)));
     let times: Vec<i64> = events.iter().map(Event::timestamp_ns).collect();
@@ -188,7 +189,7 @@ fn all_faults_together_cost_only_the_affected_frames() {
     let mut bus = SimBus::new(plan);
     let s = session(&mut bus, &config()).unwrap();
     let (log, got) = (bus.log(), s.stats.streams.depth);
-    assert!(s.stats.ring.bad_status > 100 && got.garbage > 50 && got.short > 50, "{:?}", s.stats);
+    assert!(s.stats.queue.flagged > 100 && got.garbage > 50 && got.short > 50, "{:?}", s.stats);
     assert_eq!(got.frames, s.depth.len() as u64);
     // A seventh of all packets is lost in bursts longer than the sequence numbers reach; a burst costs two frames at most.
     assert!(got.frames + 2 * (log.depth.lost / 250) > log.depth.frames, "{got:?} of {:?}", log.depth);
@@ -256,7 +257,7 @@ fn one_stream_alone_is_named() {
     let mut live = start(&mut bus, &config()).unwrap();
     let mut named = None;
     while !bus.log().over {
-        live.poll(&mut |_, _| {}, &mut |_| {}).unwrap();
+        live.poll(&mut |_| {}).unwrap();
         named = named.or(live.silent_stream());
     }
     assert_eq!(named, Some(StreamKind::Color));
@@ -314,14 +315,7 @@ fn ms_a_frame() {
         let best = (0..7).map(|_| time(work)).min().unwrap_or_default();
         println!("{what}: {:.2} ms a frame", best.as_secs_f64() * 1e3 / f64::from(FRAMES));
     };
-    let (mut sink, mut source) = crate::kinect::packet_ring::packet_ring(crate::kinect::packet_ring::RING_BYTES);
-    let (mut buffer, mut ringed) = (vec![0; 4096], 0);
-    least("ring, both streams", &mut || {
-        for p in &s.packets {
-            sink.push(p.endpoint, 0, &p.data);
-            ringed += source.pop(&mut buffer).map_or(0, |a| a.len);
-        }
-    });
+    let images = crate::kinect::buffers::Pool::new(640 * 480, 1, 1);
     let mut assembled = Vec::new();
     for (what, format) in [("assembling depth", &DEPTH_11), ("assembling colour", &BAYER_VGA)] {
         least(what, &mut || {
@@ -332,14 +326,14 @@ fn ms_a_frame() {
             }
         });
         if format.endpoint == DEPTH_11.endpoint {
-            let mut decoder = DepthDecoder::new(&crate::simulator::calibration::calibration(), format);
+            let mut decoder = DepthDecoder::new(&crate::simulator::calibration::calibration(), format, images.clone());
             least("depth: unpacking, millimetres, registration", &mut || {
-                assembled.iter().for_each(|bytes| drop(decoder.decode(bytes, &[], 0)));
+                assembled.iter().for_each(|bytes| images.give(decoder.decode(bytes, &[], 0).depth));
             });
         }
     }
     least("colour: demosaicing", &mut || s.color.iter().for_each(|c| drop(c.decode())));
-    assert!(ringed > 0);
+    assert!(!s.color.is_empty());
 }
 
 #[test]
