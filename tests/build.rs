@@ -2,7 +2,7 @@
 //! ignored without it, by `#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: …")]`. The crate `capture`, whose
 //! package the end-to-end tests belong to, runs this script too.
 
-fn main() {
+pub fn main() {
     println!("cargo:rustc-check-cfg=cfg(shared)");
     println!("cargo:rerun-if-env-changed=LUMISCAN_SHARED");
     if std::env::var_os("LUMISCAN_SHARED").is_some() {

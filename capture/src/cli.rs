@@ -16,7 +16,7 @@ pub use settings::Settings;
 #[derive(Debug, Parser)]
 #[command(
     name = "lumiscan",
-    version,
+    version = concat!(env!("CARGO_PKG_VERSION"), " (", env!("LUMISCAN_COMMIT"), ", ", env!("LUMISCAN_TARGET"), ")"),
     propagate_version = true,
     arg_required_else_help = true,
     after_long_help = "\
@@ -81,6 +81,16 @@ pub enum Command {
     Inspect(Inspect),
     /// Measure speed against accuracy on scenes with known truth.
     Trade(Trade),
+    /// Write manual pages and shell completions, for packages.
+    #[command(hide = true)]
+    Manual(Manual),
+}
+
+/// Arguments of `manual`.
+#[derive(Debug, Args)]
+pub struct Manual {
+    /// Folder that receives them.
+    pub folder: PathBuf,
 }
 
 /// Named points of the trade of speed against accuracy (`lumiscan trade` measures them).

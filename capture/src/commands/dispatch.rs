@@ -3,7 +3,7 @@
 use crate::cli::{Cli, Command};
 use crate::commands::capture;
 use crate::commands::{
-    check, config, estimate, export, handoff, import, inspect, list, record, render, replay, scan, trade,
+    check, config, estimate, export, handoff, import, inspect, list, manual, record, render, replay, scan, trade,
 };
 use crate::failure::Failure;
 use crate::report::Reporter;
@@ -28,5 +28,6 @@ pub fn run(cli: &Cli, reporter: &Reporter) -> Result<(), Failure> {
         Command::Record(a) => record::run(a, cli.json, reporter),
         Command::Inspect(a) => inspect::run(a, cli.json),
         Command::Trade(a) => trade::run(a, reporter),
+        Command::Manual(a) => manual::run(a),
     }
 }

@@ -11,6 +11,7 @@ mod handoff;
 mod import;
 mod inspect;
 mod list;
+mod manual;
 #[cfg(feature = "openni")]
 mod openni;
 mod output;
