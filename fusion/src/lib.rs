@@ -60,6 +60,7 @@ mod pipeline;
 mod report;
 mod tracking;
 mod tsdf;
+mod upright;
 
 pub use error::FusionError;
 pub use pipeline::Fusion;

@@ -35,6 +35,7 @@ pub mod source;
 #[cfg(test)]
 mod testing;
 pub mod types;
+pub mod upright;
 mod v1;
 
 pub use crate::codec::chunk::crc32_of_file;

@@ -56,6 +56,7 @@ fn scan(s: &Scan) -> Value {
         "keyframes": s.keyframes.len(),
         "witnesses": s.witnesses.len(),
         "stats": s.stats,
+        "up": s.up,
         "sensor": s.sensor,
     })
 }

@@ -44,6 +44,7 @@ pub fn tiny() -> Estimate {
         witnesses: vec![],
         local_light: LocalLight::default(),
         texture: None,
+        up: DVec3::Z,
     }
 }
 

@@ -5,3 +5,4 @@ pub mod cielab;
 pub mod random;
 pub mod robust;
 pub mod sh;
+pub mod sh_rotation;

@@ -31,6 +31,7 @@ mod texture;
 mod timing;
 mod tracking;
 mod tracking_effort;
+mod upright;
 mod validation;
 mod volume;
 
@@ -64,6 +65,7 @@ pub use texture::TextureTuning;
 pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
 pub use tracking_effort::TrackingEffortTuning;
+pub use upright::UprightTuning;
 pub use validation::ValidationTuning;
 pub use volume::VolumeTuning;
 
@@ -122,6 +124,8 @@ tuning! {
         surface_coverage: SurfaceCoverageTuning;
         /// Greedy choice of keyframes, Eq. (1).
         keyframes: KeyframesTuning;
+        /// Upward direction without an accelerometer.
+        upright: UprightTuning;
     }
 }
 
