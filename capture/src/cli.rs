@@ -326,7 +326,7 @@ pub struct Inspect {
 /// `lumiscan trade`.
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
-Prints a table a scene, how `auto` fares against its rule, and the paths of the table (CSV) and the plot (PNG). A scene is a
+Prints a table a scene, how `auto` fares against its rule, and the paths of the table (CSV) and the plot (PNG, SVG). A scene is a
 folder of posed photos with mesh.ply and truth/{albedo,lit_color}.npy, or a recording X.lrec with X_truth/ beside it.
 
 Examples:
@@ -335,7 +335,7 @@ Examples:
 pub struct Trade {
     /// Scenes [default: recordings/data/tabletop.lrec].
     pub scenes: Vec<PathBuf>,
-    /// The table; the plot gets the same name with .png.
+    /// The table; the plot gets the same name with .png and .svg.
     #[arg(short, long, value_name = "FILE", default_value = "trade.csv")]
     pub output: PathBuf,
     /// Seconds a scene may take; settings that are left then are not measured.

@@ -28,6 +28,7 @@ pub mod light_model;
 pub mod mesh;
 pub mod model_selection;
 pub mod numerics;
+pub mod plots;
 pub mod preview;
 pub mod rays;
 pub mod render;

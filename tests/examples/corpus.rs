@@ -5,7 +5,7 @@
 //! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
 //! `--small` makes the scenes that continuous integration uses; `--lumiscan` names the
 //! program that replays recordings (by default it is built), `--judge` a folder like `--out` whose
-//! results are judged as they are.
+//! results are judged as they are. Plots go to `report.png` and `report.svg` beside the kept scenes.
 
 use serde_json::json;
 use std::error::Error;
@@ -14,7 +14,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 use tests::corpus::plan::{Detail, Plan};
 use tests::corpus::report::{self, Row};
-use tests::corpus::{files, judge, produce, run};
+use tests::corpus::{files, judge, plots, produce, run};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
@@ -130,13 +130,12 @@ fn main() -> Fallible<()> {
         files::write_json(path, &json!({ "scenes": rows }))?;
     }
     if !rows.is_empty() {
-        println!(
-            "{}{}{}\n{}",
-            report::scenes(&rows),
-            report::quantiles(&rows),
-            report::decisions(&rows),
-            report::plot(&rows)
-        );
+        println!("{}{}{}", report::scenes(&rows), report::quantiles(&rows), report::decisions(&rows),);
+        for (name, file) in [("report.png", plots::png(&rows)?), ("report.svg", plots::svg(&rows)?.into_bytes())] {
+            let path = arguments.cache.join(name);
+            std::fs::write(&path, file)?;
+            println!("{}", path.display());
+        }
     }
     Ok(())
 }

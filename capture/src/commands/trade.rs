@@ -54,11 +54,10 @@ pub fn run(args: &cli::Trade, reporter: &Reporter) -> Result<(), Failure> {
         swept.push((name, points));
     }
     write_file(&args.output, csv.as_bytes())?;
-    let picture = args.output.with_extension("png");
-    let png = plot::draw(&swept).map_err(Failure::Internal)?;
-    write_file(&picture, &png)?;
-    print(&args.output.display().to_string())?;
-    print(&picture.display().to_string())
+    let (png, svg) = (args.output.with_extension("png"), args.output.with_extension("svg"));
+    write_file(&png, &plot::png(&swept).map_err(Failure::Internal)?)?;
+    write_file(&svg, plot::svg(&swept).map_err(Failure::Internal)?.as_bytes())?;
+    [&args.output, &png, &svg].into_iter().try_for_each(|path| print(&path.display().to_string()))
 }
 
 /// A photo scene with its `truth` folder, or a recording with `<stem>_truth` beside it.

@@ -6,12 +6,8 @@ use tiny_skia::{Color, Paint, Pixmap, PremultipliedColorU8, Rect, Transform};
 
 /// Width of a panel in pixels.
 pub const PANEL: u32 = 480;
-/// Size of a font dot in pixels.
-const DOT: u32 = 2;
-/// Pixels from one character to the next.
-const STEP: u32 = (font::COLUMNS as u32 + 1) * DOT;
-/// Characters in a line of text, as wide as a panel.
-pub const TEXT_COLUMNS: usize = (PANEL / STEP) as usize;
+/// Size of the text in pixels.
+pub const TEXT_SIZE: f32 = 18.0;
 
 const BACKGROUND: [u8; 3] = [18, 20, 24];
 /// Where nothing is shown.
@@ -52,13 +48,17 @@ pub fn pixmap(panel: &Panel) -> Option<Pixmap> {
     Some(picture)
 }
 
-/// Writes a line of text; what is longer than a panel is cut off.
+/// Writes a line of text whose upper left corner is (x, y); what is longer than a panel is cut off.
 pub fn write_text(page: &mut Pixmap, (x, y): (u32, u32), text: &str, with: [u8; 3]) {
-    for (i, character) in (0u32..).zip(text.chars().take(TEXT_COLUMNS)) {
-        for (row, bits) in (0u32..).zip(font::glyph(character)) {
-            for column in (0..font::COLUMNS as u32).filter(|c| bits >> (font::COLUMNS as u32 - 1 - c) & 1 == 1) {
-                fill(page, (x + i * STEP + column * DOT, y + row * DOT, DOT, DOT), with);
-            }
+    let (width, height) = (page.width() as i32, page.height() as i32);
+    font::draw(text, TEXT_SIZE, |dx, dy, share| {
+        let (px, py) = (x as i32 + dx, y as i32 + dy);
+        if dx >= PANEL as i32 || px < 0 || py < 0 || px >= width || py >= height {
+            return;
         }
-    }
+        let pixel = &mut page.pixels_mut()[(py * width + px) as usize];
+        let mix = |below: u8, c: u8| (f32::from(below) + (f32::from(c) - f32::from(below)) * share).round() as u8;
+        let [r, g, b] = [mix(pixel.red(), with[0]), mix(pixel.green(), with[1]), mix(pixel.blue(), with[2])];
+        *pixel = PremultipliedColorU8::from_rgba(r, g, b, 255).unwrap_or(*pixel);
+    });
 }

@@ -3,7 +3,7 @@
 
 pub mod canvas;
 mod color;
-mod font;
+pub(crate) mod font;
 mod keyframe_view;
 mod lamps;
 pub mod sheet;

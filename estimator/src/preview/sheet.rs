@@ -1,9 +1,11 @@
 //! The sheet: panels, captions, and the facts of the result.
 
 use crate::export::hdr;
+use crate::numerics::cielab::luminance;
 use crate::numerics::robust::{median, quantile};
-use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_COLUMNS, fill, page, pixmap, write_text};
-use crate::preview::color::{display, heat, segment_color};
+use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_SIZE, fill, page, pixmap, write_text};
+use crate::preview::color::{LightExposure, display, heat, segment_color};
+use crate::preview::font;
 use crate::preview::keyframe_view::{KeyframeView, Panel};
 use crate::preview::lamps;
 use crate::preview::spheres;
@@ -39,7 +41,7 @@ const THUMBNAIL: u32 = 48;
 pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let coverage = |k| KeyframeView::new(result, k, THUMBNAIL).coverage();
     let best = result.keyframes.iter().map(|k| (coverage(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, keyframe) = best.ok_or("the result has no keyframe to brdf from")?;
+    let (_, keyframe) = best.ok_or("the result has no keyframe to look from")?;
     let photo =
         scan.keyframes.iter().find(|k| k.name == keyframe.name).ok_or("the scan lacks the result's keyframe")?;
     let photo = photo.color.decode().map_err(|e| format!("keyframe {}: {e}", keyframe.name))?;
@@ -48,7 +50,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let detail = detail(result)?;
     let gain = Vec3::from_array(keyframe.gain.map(|g| g as f32));
     let as_photographed = |v: Vec3| (v * gain).to_array().map(|c| f32::from(result.response.encode(c)) / 255.0);
-    let (albedo_scale, ws_max) = (display_scale(&result.albedo), largest_ws(result));
+    let (albedo_scale, ws_max) = (albedo_exposure(result, gain), largest_ws(result));
     let headlight = view.headlight();
     let by_segment = |color: &dyn Fn(usize) -> Vec3| -> Vec<Vec3> {
         result.segment.iter().zip(&headlight).map(|(s, light)| color(*s as usize) * *light).collect()
@@ -60,24 +62,26 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         ("Lit colours, re-rendered".into(), view.paint_with(detail.as_ref(), &result.lit_color, as_photographed)),
         ("Albedo × light + gloss".into(), view.paint_with(detail.as_ref(), &view.model(), as_photographed)),
         (
-            format!("Albedo (× {albedo_scale:.2})"),
+            format!("Albedo × {albedo_scale:.2}, in the exposure of the lit colours"),
             view.paint_with(detail.as_ref(), &result.albedo, |v| display(v * albedo_scale)),
         ),
         (format!("{} segments", result.segments.len()), view.paint(&by_segment(&segment_color), |v| v.to_array())),
         (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
     ];
     let lamps = lamps::seen(result);
-    let mut panorama = light(result);
+    let environment = surrounding_light(scan, result);
+    let size = (PANEL as usize, PANEL as usize / 2);
+    let directions = (0..size.0 * size.1).map(|i| hdr::direction(i % size.0, i / size.0, size).as_vec3());
+    let radiance: Vec<Vec3> = directions.map(|d| environment.radiance(d)).collect();
+    let exposed = LightExposure::of(&radiance);
+    let pixels = radiance.iter().map(|v| (exposed.display(*v), 1.0)).collect();
+    let mut panorama = Panel { width: size.0 as u32, height: size.1 as u32, pixels };
     lamps::mark(&mut panorama, &lamps);
-    let caption = if lamps.is_empty() {
-        format!("Light, {} bands: up is +Z, left edge +Y", result.light.bands())
-    } else {
-        "Light: up +Z, left edge +Y; rings: lamps".into()
-    };
-    panels.push((caption, panorama));
+    let marked = if lamps.is_empty() { "" } else { "; rings: lamps" };
+    panels.push((format!("Light, {} bands: up is +Z, left edge +Y{marked}", result.light.bands()), panorama));
     let height = panels[0].1.height;
-    let around = (&surrounding_light(scan, result), lamps.as_slice());
-    let balls = spheres::panel(around, &keyframe.world_from_camera, (PANEL, height), as_photographed);
+    let around = (&environment, lamps.as_slice());
+    let balls = spheres::panel(around, &keyframe.world_from_camera, (PANEL, height), |v| exposed.display(v));
     panels.push(("Grey, silver, mirror in this light".into(), balls));
     panels.extend(validation_panels(scan, result, detail.as_ref())?);
     compose(&panels, &facts(scan, result), height)
@@ -122,7 +126,7 @@ fn validation_panels(scan: &Scan, result: &Estimate, detail: Option<&Detail>) ->
     Ok(vec![
         (format!("Validation frame {}", frame.name), photo),
         ("Its rendering".into(), rendering),
-        (format!("Difference (x {DIFFERENCE})"), difference),
+        (format!("Difference × {DIFFERENCE}"), difference),
     ])
 }
 
@@ -149,8 +153,10 @@ fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::render::lighting:
 fn compose(panels: &[(String, Panel)], facts: &[String], height: u32) -> Result<Vec<u8>, String> {
     let cell = (PANEL + GAP, height + CAPTION + GAP);
     let rows = (panels.len() as u32 + 1).div_ceil(COLUMNS);
-    let mut page = page(COLUMNS * cell.0 + GAP, rows * cell.1 + GAP).ok_or("the sheet is too large")?;
     let place = |i: usize| (GAP + (i as u32 % COLUMNS) * cell.0, GAP + (i as u32 / COLUMNS) * cell.1);
+    let text_end = place(panels.len()).1 + facts.len() as u32 * LINE + GAP;
+    let height_of_all = text_end.max(rows * cell.1 + GAP);
+    let mut page = page(COLUMNS * cell.0 + GAP, height_of_all).ok_or("the sheet is too large")?;
     for (i, (caption, panel)) in panels.iter().enumerate() {
         let (x, y) = place(i);
         fill(&mut page, (x, y, PANEL, height), NOTHING);
@@ -191,16 +197,17 @@ fn facts(scan: &Scan, result: &Estimate) -> Vec<String> {
     for warning in &result.warnings {
         let _ = writeln!(text, "! {warning}");
     }
-    text.lines().flat_map(|line| wrap(line, TEXT_COLUMNS)).collect()
+    text.lines().flat_map(wrap).collect()
 }
 
-/// Breaks a line at spaces; continuations are indented.
-fn wrap(line: &str, columns: usize) -> Vec<String> {
+/// Breaks a line at spaces where it is wider than a panel; continuations are indented.
+fn wrap(line: &str) -> Vec<String> {
     let mut lines = vec![String::new()];
     for word in line.split(' ') {
         let last = lines.len() - 1;
-        if !lines[last].trim().is_empty() && lines[last].chars().count() + 1 + word.chars().count() > columns {
-            lines.push(format!("  {word}"));
+        let longer = font::width(&format!("{} {word}", lines[last]), TEXT_SIZE);
+        if !lines[last].trim().is_empty() && longer > PANEL as f32 {
+            lines.push(format!("   {word}"));
         } else {
             let space = if lines[last].is_empty() { "" } else { " " };
             lines[last] += &format!("{space}{word}");
@@ -209,19 +216,15 @@ fn wrap(line: &str, columns: usize) -> Vec<String> {
     lines
 }
 
-/// The light as a panorama, its 99th percentile white.
-fn light(result: &Estimate) -> Panel {
-    let (w, h) = (PANEL as usize, PANEL as usize / 2);
-    let radiance: Vec<Vec3> = hdr::panorama(&result.light, (w, h)).into_iter().map(Vec3::from_array).collect();
-    let white = high(radiance.iter().map(|v| v.max_element()), 0.99).max(f32::MIN_POSITIVE);
-    let pixels = radiance.iter().map(|v| (display(*v / white), 1.0)).collect();
-    Panel { width: w as u32, height: h as u32, pixels }
-}
-
-/// Factor that brings the brightest albedos near white: their common scale is free.
-fn display_scale(albedo: &[Vec3]) -> f32 {
-    let bright = high(albedo.iter().map(|a| a.max_element()), 0.98);
-    if bright > 0.0 { 0.9 / bright } else { 1.0 }
+/// Factor under which the albedo is as bright as the lit colours are in the keyframe's exposure, as if all of it were lit alike;
+/// less where white would be beyond white.
+fn albedo_exposure(result: &Estimate, gain: Vec3) -> f32 {
+    let seen = result.lit_color.iter().zip(&result.albedo).zip(&result.confidence).filter(|(_, c)| **c > 0.0);
+    let ratios =
+        seen.map(|((lit, albedo), _)| luminance(*lit) / luminance(*albedo)).filter(|r| r.is_finite() && *r > 0.0);
+    let lit = median(ratios).map_or(1.0, |r| r * luminance(gain));
+    let bright = high(result.albedo.iter().map(|a| a.max_element()), 0.98);
+    if bright > 0.0 { lit.min(1.0 / bright) } else { lit }
 }
 
 fn high(values: impl Iterator<Item = f32>, share: f64) -> f32 {

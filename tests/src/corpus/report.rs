@@ -1,4 +1,4 @@
-//! Tables and plots of many scenes' figures.
+//! Tables of many scenes' figures.
 
 use crate::metrics::percentile;
 use serde_json::{Map, Value};
@@ -8,12 +8,16 @@ use std::fmt::Write;
 pub type Row = Map<String, Value>;
 
 /// A figure of the report.
-struct Figure {
-    title: &'static str,
-    value: fn(&Row) -> Option<f64>,
+pub struct Figure {
+    /// Its name, with its unit.
+    pub title: &'static str,
+    /// Its value for a scene.
+    pub value: fn(&Row) -> Option<f64>,
 }
 
-fn number(row: &Row, key: &str) -> Option<f64> {
+/// A number of a scene.
+#[must_use]
+pub fn number(row: &Row, key: &str) -> Option<f64> {
     row.get(key)?.as_f64()
 }
 
@@ -21,7 +25,8 @@ fn difference(row: &Row, a: &str, b: &str) -> Option<f64> {
     Some(number(row, a)? - number(row, b)?)
 }
 
-const FIGURES: [Figure; 17] = [
+/// All figures.
+pub const FIGURES: [Figure; 17] = [
     Figure { title: "albedo, median", value: |r| number(r, "albedo_median") },
     Figure { title: "albedo, p90", value: |r| number(r, "albedo_p90") },
     Figure { title: "albedo, naive median", value: |r| number(r, "naive_albedo_median") },
@@ -44,11 +49,15 @@ const FIGURES: [Figure; 17] = [
 /// Quantiles shown.
 const QUANTILES: [f64; 5] = [0.1, 0.25, 0.5, 0.75, 0.9];
 
-fn text<'a>(row: &'a Row, key: &str) -> &'a str {
+/// A text of a scene.
+#[must_use]
+pub fn text<'a>(row: &'a Row, key: &str) -> &'a str {
     row.get(key).and_then(Value::as_str).unwrap_or("")
 }
 
-fn is_even(row: &Row) -> bool {
+/// True for scenes that rules and thresholds are judged by.
+#[must_use]
+pub fn is_even(row: &Row) -> bool {
     number(row, "seed").is_some_and(|s| (s as u64).is_multiple_of(2))
 }
 
@@ -149,45 +158,6 @@ pub fn decisions(rows: &[Row]) -> String {
     let mut out = String::from("\ndecisions: even, odd\n");
     for ((name, choice), [even, odd]) in counts {
         let _ = writeln!(out, "{even:>4} {odd:>4}  {name}: {choice}");
-    }
-    out
-}
-
-/// Sorted figures of all scenes as text plots: every scene is a mark, `e` of an even and `o` of an odd seed, `*` of both.
-#[must_use]
-pub fn plot(rows: &[Row]) -> String {
-    const WIDTH: usize = 72;
-    let mut out = String::new();
-    for road in ["photos", "fused"] {
-        for figure in &FIGURES {
-            let values = |even: bool| -> Vec<f64> {
-                let chosen = rows.iter().filter(|r| is_even(r) == even && text(r, "road") == road);
-                let mut values: Vec<f64> = chosen.filter_map(|r| (figure.value)(r)).collect();
-                values.sort_by(f64::total_cmp);
-                values
-            };
-            let sides = [values(true), values(false)];
-            let all: Vec<f64> = sides.concat();
-            let (low, high) = (percentile(&all, 0.0), percentile(&all, 1.0));
-            if all.is_empty() {
-                continue;
-            }
-            // Errors spread over decades.
-            let decades = low > 0.0 && high > 8.0 * low;
-            let map = |x: f64| if decades { libm::log(x) } else { x };
-            let at = |x: f64| {
-                ((map(x) - map(low)) / (map(high) - map(low)).max(1e-12) * (WIDTH - 1) as f64).round() as usize
-            };
-            let mut line = vec![' '; WIDTH];
-            for (side, mark) in sides.iter().zip(['e', 'o']) {
-                for x in side {
-                    let cell = &mut line[at(*x)];
-                    *cell = if *cell == ' ' || *cell == mark { mark } else { '*' };
-                }
-            }
-            let line: String = line.into_iter().collect();
-            let _ = writeln!(out, "{road:<6} {:<26}{low:8.3} |{line}| {high:.3}", figure.title);
-        }
     }
     out
 }
