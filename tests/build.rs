@@ -2,6 +2,7 @@
 //! ignored without it, by `#[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: …")]`. The crate `capture`, whose
 //! package the end-to-end tests belong to, runs this script too.
 
+/// Sets the cfg.
 pub fn main() {
     println!("cargo:rustc-check-cfg=cfg(shared)");
     println!("cargo:rerun-if-env-changed=LUMISCAN_SHARED");

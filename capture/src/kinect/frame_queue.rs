@@ -314,7 +314,8 @@ impl FrameSource {
     /// Ends the streams: incomplete last frames are counted as lost.
     pub fn end(&mut self) {
         let mut state = self.shared.lock();
-        (state.depth.1.end(), state.color.1.end());
+        state.depth.1.end();
+        state.color.1.end();
         drop(state);
         self.before = self.stats();
     }
