@@ -6,4 +6,3 @@ pub mod insert;
 pub mod material;
 pub mod object;
 pub mod ply;
-mod support;
