@@ -353,7 +353,6 @@ fn tail(name: &str, sensor: &Sensor, config: &Config, output: FusionOutput, sour
         witnesses: output.validation_frames,
         config: config.to_toml(),
         stats,
-        up: output.up,
     }
 }
 

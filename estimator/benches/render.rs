@@ -135,7 +135,6 @@ fn desk() -> Estimate {
         witnesses: Vec::new(),
         local_light: LocalLight::default(),
         texture: None,
-        up: glam::DVec3::Z,
         mesh,
     }
 }

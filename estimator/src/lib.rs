@@ -38,7 +38,6 @@ pub mod stages;
 pub mod sweep;
 pub mod texture;
 pub mod transfer;
-pub mod upright;
 pub mod validation;
 
 use crate::budget::{Machine, WallClock};
@@ -46,8 +45,7 @@ use crate::factorisation::factorise;
 use crate::specular::Gloss;
 use crate::stages::{Answer, Run};
 use firmware_config::EstimatorConfig;
-use glam::DVec3;
-use recordings::decision::{Decision, Warning};
+use recordings::decision::Warning;
 use recordings::local_light::LightModel;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -121,7 +119,6 @@ pub fn estimate_on(
     prepared.decisions.push(stages::transfer_decision(&answer.found, config));
     prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
     prepared.warnings.extend(stages::unseen_light(&answer.found, config));
-    prepared.decisions.extend(scan.up.map(Decision::Upright));
 
     run.plan.writing();
     progress.stage("done", 1.0);
@@ -144,6 +141,5 @@ pub fn estimate_on(
         witnesses,
         local_light,
         texture,
-        up: scan.up.map_or(DVec3::Z, |up| DVec3::from(up.direction)),
     })
 }

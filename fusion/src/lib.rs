@@ -60,7 +60,6 @@ mod pipeline;
 mod report;
 mod tracking;
 mod tsdf;
-mod upright;
 
 pub use error::FusionError;
 pub use pipeline::Fusion;

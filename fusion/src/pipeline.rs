@@ -14,7 +14,6 @@ use crate::tsdf::marching_cubes::{SurfaceThreshold, extract};
 use crate::tsdf::model::Model;
 use crate::tsdf::surfels::{BlockSurface, SurfaceReader};
 use crate::tsdf::visibility::drop_unseen;
-use crate::upright::tell_up;
 use firmware_config::FusionConfig;
 use glam::DVec3;
 use recordings::scan::{CaptureStats, FrameId};
@@ -130,14 +129,12 @@ impl Fusion {
         drop_small_components(&mut mesh, threshold.min_triangles);
         // Eq. (1)
         let chosen = self.candidates.choose(&mesh, &self.rig, &self.config);
-        let up = self.up.is_none().then(|| tell_up(&mesh, &self.config.tuning.upright));
         FusionOutput {
             mesh,
             trajectory,
             keyframes: chosen.keyframes,
             validation_frames: chosen.validation_frames,
             stats: CaptureStats { keyframe_coverage: chosen.coverage, ..stats },
-            up,
         }
     }
 

@@ -2,7 +2,6 @@
 
 use recordings::scan::{CaptureStats, FrameId, KeptFrame};
 use recordings::types::{Mesh, Pose, TimestampNs};
-use recordings::upright::ToldUp;
 
 /// State of tracking after a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -62,6 +61,4 @@ pub struct FusionOutput {
     pub validation_frames: Vec<KeptFrame>,
     /// Fusion's part of the counters.
     pub stats: CaptureStats,
-    /// Where up is, told by the surface; `None` where [`crate::Fusion::set_gravity`] told it: then it is +Z.
-    pub up: Option<ToldUp>,
 }

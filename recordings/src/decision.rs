@@ -5,7 +5,6 @@
 
 use crate::local_light::LightModel;
 use crate::types::Response;
-use crate::upright::ToldUp;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -261,8 +260,6 @@ pub enum Decision {
         /// The same with one albedo a material.
         held_out: f64,
     },
-    /// Where up is, in a scan whose sensor did not measure it.
-    Upright(ToldUp),
 }
 
 /// What fixed the scale of the albedo.

@@ -6,7 +6,6 @@ use crate::decision::{
 };
 use crate::local_light::LightModel;
 use crate::types::Response;
-use crate::upright::ToldUp;
 use serde::Serialize;
 use std::fmt;
 
@@ -89,7 +88,6 @@ impl Decision {
             Self::Texture { .. } => "texture",
             Self::Veil { .. } => "veiling glare",
             Self::Materials { .. } => "materials",
-            Self::Upright(_) => "up",
         }
     }
 
@@ -127,8 +125,6 @@ impl Decision {
             Self::Texture { atlas: None, .. } => "none".into(),
             Self::Veil { share, .. } => format!("{:.1} %", 100.0 * share),
             Self::Materials { materials, .. } => materials.to_string(),
-            Self::Upright(ToldUp { plane: Some(_), .. }) => "the normal of the largest plane".into(),
-            Self::Upright(ToldUp { plane: None, .. }) => "up in the first picture".into(),
         }
     }
 
@@ -252,16 +248,6 @@ impl Decision {
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
             ),
-            Self::Upright(up) => match up.plane {
-                Some(plane) => format!(
-                    "no accelerometer; {:.0} % of the surface lie in a plane {:.1}° from up in the first picture, {:.0} % stand \
-                     at right angles to it",
-                    100.0 * plane.share,
-                    up.tilt_rad().to_degrees(),
-                    100.0 * plane.vertical_share,
-                ),
-                None => "no accelerometer, and no large plane near up in the first picture".into(),
-            },
         }
     }
 
@@ -289,7 +275,6 @@ impl Decision {
             Self::Texture { atlas: None, .. } => String::new(),
             Self::Veil { held_out, .. } => format!("{} factorisations", held_out.len()),
             Self::Materials { .. } => "2 factorisations".into(),
-            Self::Upright(_) => String::new(),
         }
     }
 
@@ -339,7 +324,6 @@ impl Decision {
             }
             Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
             Self::Veil { .. } | Self::Materials { .. } => String::new(),
-            Self::Upright(_) => "a sensor with an accelerometer".into(),
         }
     }
 }
@@ -509,10 +493,6 @@ mod tests {
                 "albedo scale | by the reference, whose albedo is 0.900, 0.900, 0.800 | colour of the median irradiance 1.04, \
                  1.00, 0.96, of the mean albedo 1.30, 1.00, 0.77; 12 % of the seen surface is near white; the 98 % quantile \
                  of the albedo's luminance is 0.80 | 9000 vertices | ",
-                "up | the normal of the largest plane | no accelerometer; 40 % of the surface lie in a plane 36.9° from up in \
-                 the first picture, 20 % stand at right angles to it |  | a sensor with an accelerometer",
-                "up | up in the first picture | no accelerometer, and no large plane near up in the first picture |  | a sensor \
-                 with an accelerometer",
             ]
         );
     }

@@ -35,7 +35,6 @@ pub mod source;
 #[cfg(test)]
 mod testing;
 pub mod types;
-pub mod upright;
 mod v1;
 
 pub use crate::codec::chunk::crc32_of_file;

@@ -5,8 +5,7 @@ use crate::local_light::LocalLight;
 use crate::recording::{Event, RecordingKind, RecordingReader, RecordingWriter};
 use crate::result::{Estimate, Origin};
 use crate::scan::Scan;
-use crate::testing::{bumpy_mesh, estimate_on, events, leaning_scan, packets, scan, sensor};
-use glam::DVec3;
+use crate::testing::{bumpy_mesh, estimate_on, events, packets, scan, sensor};
 use std::path::{Path, PathBuf};
 
 fn samples() -> PathBuf {
@@ -22,8 +21,6 @@ fn write(dir: &Path) {
         writer.finish().unwrap();
     }
     scan().write(&dir.join("v1.lscan")).unwrap();
-    leaning_scan().write(&dir.join("v1-upright.lscan")).unwrap();
-    estimate_on(bumpy_mesh(6)).write(&dir.join("v1-upright.lres")).unwrap();
     estimate_on(bumpy_mesh(6)).write(&dir.join("v1-findings.lres")).unwrap();
     estimate_on(bumpy_mesh(6)).write_from(&dir.join("v1-origin.lres"), Some(&origin())).unwrap();
 }
@@ -79,20 +76,12 @@ fn version_1_is_still_read() {
 fn findings_are_still_read() {
     let result = Estimate::read(&samples().join("v1-findings.lres")).unwrap();
     let expected = estimate_on(bumpy_mesh(6));
-    // This file is from before the model of light, the scale of the albedo and the upward direction were decisions.
-    let newer =
-        |d: &Decision| matches!(d, Decision::LightModel { .. } | Decision::AlbedoScale { .. } | Decision::Upright(_));
+    // This file is from before the model of light and the scale of the albedo were decisions.
+    let newer = |d: &Decision| matches!(d, Decision::LightModel { .. } | Decision::AlbedoScale { .. });
     let older = expected.decisions.into_iter().filter(|d| !newer(d));
     assert_eq!(result.decisions, older.collect::<Vec<_>>());
-    assert_eq!((result.local_light, result.up), (LocalLight::default(), DVec3::Z));
+    assert_eq!(result.local_light, LocalLight::default());
     assert_eq!((result.cuts, result.warnings), (expected.cuts, expected.warnings));
-}
-
-/// The first files of a scan whose surface told where up is.
-#[test]
-fn upward_directions_are_still_read() {
-    assert_eq!(Scan::read(&samples().join("v1-upright.lscan")).unwrap(), leaning_scan());
-    assert_eq!(Estimate::read(&samples().join("v1-upright.lres")).unwrap().up, DVec3::new(0.0, 0.6, 0.8));
 }
 
 /// The first file that tells what it was made from.

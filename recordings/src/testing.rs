@@ -13,7 +13,6 @@ use crate::types::{
     Accelerometer, CameraModel, ColorEncoding, ColorFrame, DepthFrame, Distortion, Intrinsics, Keyframe, Mesh, Pose,
     Response, Sensor, UsbPacket,
 };
-use crate::upright::{HorizontalPlane, ToldUp};
 use glam::{DQuat, DVec3, Vec3};
 
 /// A 32x24 JPEG: (8x, 10y, 128 + 40 sin(x/3)), quality 90.
@@ -101,18 +100,7 @@ pub(crate) fn scan() -> Scan {
         witnesses: vec![keyframe(1_700_000_000)],
         config: "[fusion]\n".into(),
         stats: CaptureStats { pairs: 9, duration_s: 1.5, ..CaptureStats::default() },
-        up: None,
     }
-}
-
-/// The same without an accelerometer.
-pub(crate) fn leaning_scan() -> Scan {
-    Scan { up: Some(told_up()), ..scan() }
-}
-
-fn told_up() -> ToldUp {
-    let plane = Some(HorizontalPlane { share: 0.4, vertical_share: 0.2 });
-    ToldUp { direction: [0.0, 0.6, 0.8], plane }
 }
 
 /// Decisions of every kind.
@@ -208,8 +196,6 @@ pub(crate) fn decisions() -> Vec<Decision> {
         scale(ScaleBasis::Likely),
         scale(ScaleBasis::SecondaryLight),
         scale(ScaleBasis::Reference { albedo: [0.9, 0.9, 0.8] }),
-        Decision::Upright(told_up()),
-        Decision::Upright(ToldUp { direction: [0.0, 0.0, 1.0], plane: None }),
     ]
 }
 
@@ -288,7 +274,6 @@ pub(crate) fn estimate_on(mesh: Mesh) -> Estimate {
             emitters: vec![Emitter { vertices: (0..n.min(2)).collect(), radiance: [5.0, 4.0, 3.0] }],
         },
         texture: None,
-        up: DVec3::new(0.0, 0.6, 0.8),
         mesh,
     }
 }

@@ -148,6 +148,5 @@ fn of_pictures(mesh: Mesh, intrinsics: Intrinsics, response: Response, pictures:
         witnesses: vec![],
         config: String::new(),
         stats: CaptureStats::default(),
-        up: None,
     }
 }

@@ -1,20 +1,20 @@
 //! `lumiscan export`: results and recordings in forms that other programs read.
 
 use crate::cli::{self, ExportTo};
-use crate::commands::files::{check_fresh, find_scan, into_fresh_folder, read_upright};
+use crate::commands::files::{check_fresh, find_scan, into_fresh_folder};
 use crate::commands::output::check_parent;
 use crate::commands::output::print;
 use crate::failure::Failure;
 use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
+use recordings::scan::Scan;
 use std::path::Path;
 
 /// Runs the command.
 pub fn run(args: &cli::Export) -> Result<(), Failure> {
     let output = &args.output;
     let written = |e: std::io::Error| Failure::writing(output, e);
-    let read = || read_upright(&args.file, None).map(|(result, _)| result);
     match args.to {
         ExportTo::Tum => {
             let mut recording = RecordingReader::open(&args.file)?;
@@ -27,32 +27,32 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Ply => {
             check_parent(output)?;
-            estimator::export::ply::write(&read()?, output).map_err(written)?;
+            estimator::export::ply::write(&Estimate::read(&args.file)?, output).map_err(written)?;
         }
         ExportTo::Glb => {
             check_parent(output)?;
-            estimator::export::glb::scene::write(&read()?, output).map_err(written)?;
+            estimator::export::glb::scene::write(&Estimate::read(&args.file)?, output).map_err(written)?;
         }
         ExportTo::Obj => {
-            let result = read()?;
+            let result = Estimate::read(&args.file)?;
             into_fresh_folder(output, |dir| estimator::export::obj::write(&result, dir).map_err(written))?;
         }
         ExportTo::Exr => {
             check_parent(output)?;
-            estimator::export::hdr::write_exr(&read()?.light, output).map_err(written)?;
+            estimator::export::hdr::write_exr(&Estimate::read(&args.file)?.light, output).map_err(written)?;
         }
         ExportTo::Html => {
             check_parent(output)?;
-            let scan = find_scan(args.scan.as_deref(), &args.file);
-            let (result, scan) = read_upright(&args.file, scan.as_deref())?;
+            let result = Estimate::read(&args.file)?;
+            let scan = find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
             estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
         ExportTo::Colmap | ExportTo::Nerf => {
-            let path = find_scan(args.scan.as_deref(), &args.file);
-            let (result, scan) = read_upright(&args.file, path.as_deref())?;
-            let scan = scan.ok_or_else(|| {
+            let result = Estimate::read(&args.file)?;
+            let path = find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
                 Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
             })?;
+            let scan = Scan::read(&path)?;
             let write = match args.to {
                 ExportTo::Colmap => estimator::export::cameras::write_colmap,
                 _ => estimator::export::cameras::write_nerf,
@@ -61,7 +61,7 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Hdr => {
             check_parent(output)?;
-            estimator::export::hdr::write(&read()?.light, output).map_err(written)?;
+            estimator::export::hdr::write(&Estimate::read(&args.file)?.light, output).map_err(written)?;
         }
     }
     print(&output.display().to_string())

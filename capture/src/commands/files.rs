@@ -1,9 +1,6 @@
 //! Files and folders that commands read and write.
 
 use crate::failure::Failure;
-use estimator::upright::{upright, upright_scan};
-use recordings::result::Estimate;
-use recordings::scan::Scan;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -11,14 +8,6 @@ use std::path::{Path, PathBuf};
 pub fn find_scan(named: Option<&Path>, result: &Path) -> Option<PathBuf> {
     let beside = [result.with_file_name("scan.lscan"), result.with_extension("lscan")];
     named.map(Path::to_path_buf).or_else(|| beside.into_iter().find(|p| p.is_file()))
-}
-
-/// A result, and its scan if there is one at `scan`, in a world whose +Z is up.
-pub fn read_upright(result: &Path, scan: Option<&Path>) -> Result<(Estimate, Option<Scan>), Failure> {
-    let result = Estimate::read(result)?;
-    let up = result.up;
-    let scan = scan.map(Scan::read).transpose()?.map(|scan| upright_scan(scan, up));
-    Ok((upright(result), scan))
 }
 
 /// True if the path ends with one of the `extensions` (lower case, no dot).

@@ -56,7 +56,6 @@ fn scan(s: &Scan) -> Value {
         "keyframes": s.keyframes.len(),
         "witnesses": s.witnesses.len(),
         "stats": s.stats,
-        "up": s.up,
         "sensor": s.sensor,
     })
 }

@@ -1,7 +1,6 @@
 //! Plain files that any script can read: `lighting_sh.json`, `vertices.ply`, `exposures.json`, `poses.json`,
-//! `materials.json`. Conventions: metres, camera-to-world poses with OpenCV axes, linear colour, real orthonormal
-//! spherical harmonics without Condon–Shortley phase, index `l*(l+1)+m`. The world is that of the scan file; `up` in `poses.json` is
-//! where things stand up in it.
+//! `materials.json`. Conventions: metres, +Z up, camera-to-world poses with OpenCV axes, linear colour, real orthonormal
+//! spherical harmonics without Condon–Shortley phase, index `l*(l+1)+m`.
 
 use crate::export::ply;
 use recordings::format_seconds;
@@ -22,7 +21,7 @@ pub fn write(result: &Estimate, dir: &Path) -> Result<()> {
     let documents = [
         ("lighting_sh.json", lighting(result)),
         ("exposures.json", exposures(&result.keyframes)),
-        ("poses.json", poses(result)),
+        ("poses.json", poses(&result.keyframes)),
         ("materials.json", materials(result)),
     ];
     for (name, document) in documents {
@@ -57,8 +56,7 @@ fn exposures(keyframes: &[ResultKeyframe]) -> Value {
     })
 }
 
-fn poses(result: &Estimate) -> Value {
-    let keyframes = &result.keyframes;
+fn poses(keyframes: &[ResultKeyframe]) -> Value {
     let frames: Vec<Value> = keyframes
         .iter()
         .map(|k| {
@@ -71,7 +69,7 @@ fn poses(result: &Estimate) -> Value {
         })
         .collect();
     let intrinsics = keyframes.first().map(|k| json!(k.camera.intrinsics));
-    json!({ "intrinsics": intrinsics, "up": result.up.to_array(), "frames": frames })
+    json!({ "intrinsics": intrinsics, "frames": frames })
 }
 
 /// Eq. (13): weights of the diffuse and of the mirrored light, per segment.

@@ -44,7 +44,6 @@ pub fn tiny() -> Estimate {
         witnesses: vec![],
         local_light: LocalLight::default(),
         texture: None,
-        up: DVec3::Z,
     }
 }
 

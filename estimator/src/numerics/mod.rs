@@ -5,4 +5,3 @@ pub mod cielab;
 pub mod random;
 pub mod robust;
 pub mod sh;
-pub mod sh_rotation;

@@ -31,7 +31,6 @@ mod texture;
 mod timing;
 mod tracking;
 mod tracking_effort;
-mod upright;
 mod validation;
 mod volume;
 
@@ -65,7 +64,6 @@ pub use texture::TextureTuning;
 pub use timing::TimingTuning;
 pub use tracking::TrackingTuning;
 pub use tracking_effort::TrackingEffortTuning;
-pub use upright::UprightTuning;
 pub use validation::ValidationTuning;
 pub use volume::VolumeTuning;
 
@@ -124,8 +122,6 @@ tuning! {
         surface_coverage: SurfaceCoverageTuning;
         /// Greedy choice of keyframes, Eq. (1).
         keyframes: KeyframesTuning;
-        /// Upward direction without an accelerometer.
-        upright: UprightTuning;
     }
 }
 

@@ -80,7 +80,6 @@ pub fn import_photos(dir: &Path, mesh: Option<&Path>) -> Result<Scan> {
         witnesses: Vec::new(),
         config: String::new(),
         stats: CaptureStats::default(),
-        up: None,
     })
 }
 

@@ -5,8 +5,7 @@ use crate::local_light::LocalLight;
 use crate::result::texture::Texture;
 use crate::scan::contents::check_mesh;
 use crate::types::{CameraModel, Mesh, Pose, Response, TimestampNs};
-use crate::upright::check_up;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Rows of coefficients at nine bands.
@@ -118,8 +117,6 @@ pub struct Estimate {
     pub local_light: LocalLight,
     /// Albedo at the resolution of the photographs; `None` where it was not made.
     pub texture: Option<Texture>,
-    /// Where up is: unit vector, world axes. +Z unless the surface of the scan told another direction.
-    pub up: DVec3,
 }
 
 impl Estimate {
@@ -140,7 +137,6 @@ impl Estimate {
         if !colors || !self.confidence.iter().all(|c| c.is_finite()) {
             return Err("a colour or confidence that is not finite".into());
         }
-        check_up(self.up)?;
         self.light.check()?;
         self.local_light.check(n)?;
         if let Some(texture) = &self.texture {

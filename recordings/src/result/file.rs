@@ -11,9 +11,7 @@ use crate::result::estimate::Estimate;
 use crate::result::origin::Origin;
 use crate::result::texture::Texture;
 use crate::types::Mesh;
-use crate::upright::check_up;
 use crate::v1::{DecisionV1, EstimateV1, LightV1};
-use glam::DVec3;
 use std::path::Path;
 
 /// Kind of file.
@@ -31,8 +29,6 @@ const FINDINGS: Tag = *b"FIND";
 const LOCAL_LIGHT: Tag = *b"NEAR";
 /// Albedo at the resolution of the photographs; absent where it was not made. Programs that do not know it show the vertices.
 const TEXTURE: Tag = *b"TEXT";
-/// Where up is; absent where it is +Z. Programs that do not know it show the result as it was first seen.
-const UP: Tag = *b"UPWD";
 /// What the result was made from. Programs that do not know it skip it.
 const ORIGIN: Tag = *b"ORIG";
 const KNOWN: &[(Tag, u32)] = &[
@@ -44,7 +40,6 @@ const KNOWN: &[(Tag, u32)] = &[
     (FINDINGS, 1 << 20),
     (LOCAL_LIGHT, 1 << 26),
     (TEXTURE, 1 << 28),
-    (UP, 1 << 10),
 ];
 /// What the chunk of findings holds.
 type Findings = (Vec<Decision>, Vec<Cut>, Vec<Warning>);
@@ -56,15 +51,14 @@ impl Estimate {
     pub fn read(path: &Path) -> Result<Self> {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "estimate it again");
-        let mut chunks: [Option<Vec<u8>>; 9] = Default::default();
+        let mut chunks: [Option<Vec<u8>>; 8] = Default::default();
         let mut payload = Vec::new();
         while let Some(tag) = file.next(&mut payload)? {
             if let Some(slot) = KNOWN.iter().position(|(known, _)| *known == tag) {
                 chunks[slot] = Some(std::mem::take(&mut payload));
             }
         }
-        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings, local, texture, up] = chunks
-        else {
+        let [Some(head), Some(light), Some(triangles), Some(vertices), costs, findings, local, texture] = chunks else {
             return Err(invalid("a part is missing".into()));
         };
         let mut estimate =
@@ -78,10 +72,6 @@ impl Estimate {
             let texture = Texture::unpack(&texture).map_err(invalid)?;
             texture.check(estimate.mesh.triangles.len()).map_err(invalid)?;
             estimate.texture = Some(texture);
-        }
-        if let Some(up) = up {
-            estimate.up = DVec3::from(from_bytes::<[f64; 3]>(&up).map_err(invalid)?.0);
-            check_up(estimate.up).map_err(invalid)?;
         }
         // A variant of a newer program leaves the sentences in place.
         if let Some((findings, _)) = findings.as_deref().and_then(|f| from_bytes::<Findings>(f).ok()) {
@@ -127,7 +117,6 @@ impl Estimate {
             witnesses: head.witnesses.into_iter().map(Into::into).collect(),
             local_light: LocalLight::default(),
             texture: None,
-            up: DVec3::Z,
         };
         estimate.check()?;
         Ok(estimate)
@@ -179,9 +168,6 @@ impl Estimate {
         }
         if let Some(texture) = &self.texture {
             file.write(TEXTURE, &[&texture.pack(&triangles).map_err(refuse)?])?;
-        }
-        if self.up != DVec3::Z {
-            file.write(UP, &[&to_bytes(&self.up.to_array()).map_err(refuse)?])?;
         }
         file.finish()
     }
@@ -312,7 +298,6 @@ mod tests {
         assert!(refused(&|e| e.segments[0].w_s = f64::NAN));
         assert!(refused(&|e| e.keyframes[0].gain[0] = 0.0));
         assert!(refused(&|e| e.mesh.triangles[0][0] = 16));
-        assert!(refused(&|e| e.up = DVec3::ZERO));
     }
 
     #[test]

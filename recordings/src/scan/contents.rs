@@ -1,7 +1,6 @@
 //! A scan and its parts.
 
 use crate::types::{Keyframe, Mesh, Pose, Sensor};
-use crate::upright::ToldUp;
 use serde::{Deserialize, Serialize};
 
 /// Bytes of the largest mesh array.
@@ -78,8 +77,6 @@ pub struct Scan {
     pub config: String,
     /// Counters of the capture.
     pub stats: CaptureStats,
-    /// Where up is, told by the surface; `None` where +Z is up: an accelerometer told it, or an imported mesh does.
-    pub up: Option<ToldUp>,
 }
 
 /// A frame handed to `ScanWriter::add_frame`.
@@ -112,8 +109,6 @@ pub struct ScanTail {
     pub config: String,
     /// Counters.
     pub stats: CaptureStats,
-    /// As [`Scan::up`].
-    pub up: Option<ToldUp>,
 }
 
 /// Checks that picture, camera and pose fit each other and are finite.

@@ -6,7 +6,6 @@ use crate::error::{Error, Result};
 use crate::import::lists::format_seconds;
 use crate::scan::contents::{CaptureStats, FrameId, MESH_BYTES, Scan, ScanTail, check_frame, check_mesh};
 use crate::types::{ColorFrame, Keyframe, Mesh, RawVec3};
-use crate::upright::ToldUp;
 use crate::v1::{ColorV1, KeyframeV1, ScanSourceV1, ScanV1, StatsV1};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -22,8 +21,6 @@ const STATISTICS: Tag = *b"STAT";
 const POSITIONS: Tag = *b"VERT";
 const NORMALS: Tag = *b"NORM";
 const TRIANGLES: Tag = *b"TRIA";
-/// Where up is, where the surface told it. Programs that do not know it take image-up of the first picture.
-const UP: Tag = *b"UPWD";
 const KEYFRAME: Tag = *b"KEYF";
 const WITNESS: Tag = *b"WITN";
 const FRAME_BYTES: u32 = (1 << 28) + (1 << 16);
@@ -33,7 +30,6 @@ pub(super) const KNOWN: &[(Tag, u32)] = &[
     (POSITIONS, MESH_BYTES),
     (NORMALS, MESH_BYTES),
     (TRIANGLES, MESH_BYTES),
-    (UP, 1 << 10),
     (KEYFRAME, FRAME_BYTES),
     (WITNESS, FRAME_BYTES),
 ];
@@ -92,7 +88,7 @@ impl ScanWriter {
             keyframes: tail.keyframes.len() as u32,
             witnesses: tail.witnesses.len() as u32,
         };
-        let mut writer = write_head(&self.path, &head, &tail.stats, &tail.mesh, tail.up.as_ref())?;
+        let mut writer = write_head(&self.path, &head, &tail.stats, &tail.mesh)?;
         for (tag, kept) in [(KEYFRAME, &tail.keyframes), (WITNESS, &tail.witnesses)] {
             for frame in kept {
                 let color = self.read_back(frame.id)?;
@@ -126,13 +122,7 @@ impl Drop for ScanWriter {
 }
 
 /// Starts a scan file with everything but its frames.
-fn write_head(
-    path: &Path,
-    head: &ScanV1,
-    stats: &CaptureStats,
-    mesh: &Mesh,
-    up: Option<&ToldUp>,
-) -> Result<ChunkWriter> {
+fn write_head(path: &Path, head: &ScanV1, stats: &CaptureStats, mesh: &Mesh) -> Result<ChunkWriter> {
     let refuse = |problem: String| Error::invalid(path, problem, "this scan cannot be stored");
     check_mesh(mesh).map_err(refuse)?;
     let mut writer = ChunkWriter::create(path, KIND, VERSION)?;
@@ -143,10 +133,6 @@ fn write_head(
     writer.write(NORMALS, &[&raw(&mesh.normals)])?;
     let indices: Vec<u8> = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes()).collect();
     writer.write(TRIANGLES, &[&indices])?;
-    if let Some(up) = up {
-        up.check().map_err(refuse)?;
-        writer.write(UP, &[&to_bytes(up).map_err(refuse)?])?;
-    }
     Ok(writer)
 }
 
@@ -175,7 +161,7 @@ impl Scan {
         let mut file = ChunkReader::open(path, KIND, VERSION, KNOWN)?;
         let invalid = |problem: String| Error::invalid(path, problem, "scan or import it again");
         let mut payload = Vec::new();
-        let (mut head, mut stats, mut mesh, mut up) = (None, None, Mesh::default(), None);
+        let (mut head, mut stats, mut mesh) = (None, None, Mesh::default());
         let (mut keyframes, mut witnesses) = (Vec::new(), Vec::new());
         while let Some(tag) = file.next(&mut payload)? {
             match tag {
@@ -191,7 +177,6 @@ impl Scan {
                     let index = |t: &[u8; 12], k: usize| u32::from_le_bytes([0, 1, 2, 3].map(|b| t[4 * k + b]));
                     mesh.triangles = triples.iter().map(|t| [0, 1, 2].map(|k| index(t, k))).collect();
                 }
-                UP => up = Some(from_bytes::<ToldUp>(&payload).map_err(invalid)?.0),
                 KEYFRAME => keyframes.push(read_frame(&payload).map_err(invalid)?),
                 _ => witnesses.push(read_frame(&payload).map_err(invalid)?),
             }
@@ -204,7 +189,6 @@ impl Scan {
             return Err(invalid("its parts are not as many as its header says".into()));
         }
         check_mesh(&mesh).map_err(invalid)?;
-        up.as_ref().map_or(Ok(()), ToldUp::check).map_err(invalid)?;
         Ok(Self {
             name: head.name,
             source: head.source.into(),
@@ -214,7 +198,6 @@ impl Scan {
             witnesses,
             config: head.config,
             stats,
-            up,
         })
     }
 
@@ -233,7 +216,7 @@ impl Scan {
             keyframes: self.keyframes.len() as u32,
             witnesses: self.witnesses.len() as u32,
         };
-        let mut writer = write_head(path, &head, &self.stats, &self.mesh, self.up.as_ref())?;
+        let mut writer = write_head(path, &head, &self.stats, &self.mesh)?;
         for (tag, frames) in [(KEYFRAME, &self.keyframes), (WITNESS, &self.witnesses)] {
             for frame in frames {
                 write_frame(&mut writer, tag, frame)?;
@@ -268,7 +251,7 @@ fn read_frame(payload: &[u8]) -> std::result::Result<Keyframe, String> {
 mod tests {
     use super::*;
     use crate::scan::contents::KeptFrame;
-    use crate::testing::{keyframe, leaning_scan, refuses_damage, resealed, scan};
+    use crate::testing::{keyframe, refuses_damage, resealed, scan};
     use proptest::prelude::*;
 
     #[test]
@@ -287,7 +270,7 @@ mod tests {
     fn only_frames_that_were_chosen_are_kept() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.lscan");
-        let whole = leaning_scan();
+        let whole = scan();
         let mut writer = ScanWriter::create(&path).unwrap();
         for (id, ns) in [(0, 300), (4, 1_700_000_000), (7, 1_000_000_000), (9, 2_500_000_000)] {
             let mut color = keyframe(ns).color;
@@ -306,7 +289,6 @@ mod tests {
             witnesses: vec![kept(4)],
             config: whole.config.clone(),
             stats: whole.stats.clone(),
-            up: whole.up,
         };
         writer.finish(&tail).unwrap();
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);

@@ -10,8 +10,8 @@ use crate::estimator_process::{Ended, Files};
 use crate::failure::Failure;
 use crate::memory;
 use crate::report::Reporter;
-use estimator::upright::{upright, upright_scan};
-use estimator::{Options, Progress};
+use estimator::Options;
+use estimator::Progress;
 use recordings::decision::Cut;
 use recordings::scan::Scan;
 use std::time::{Duration, Instant};
@@ -38,7 +38,6 @@ pub fn run(args: &cli::Estimate, files: &Files, reporter: &Reporter) -> Result<E
         .map_err(|e| Failure::estimating(files.scan.display(), e))?;
     result.write_from(&files.result, Some(&origin)).map_err(|e| Failure::Internal(e.to_string()))?;
     let seconds = started.elapsed().as_secs_f64();
-    let (scan, result) = (upright_scan(scan, result.up), upright(result));
     if let Some(path) = &files.preview {
         reporter.stage("preview", 0.0);
         let png = estimator::preview::sheet::sheet(&scan, &result).map_err(|e| Failure::writing(path, e))?;

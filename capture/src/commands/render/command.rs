@@ -2,7 +2,7 @@
 
 use crate::child_process::end_with_parent;
 use crate::cli::{RemovalTarget, Render};
-use crate::commands::files::{find_scan, read_upright};
+use crate::commands::files::find_scan;
 use crate::commands::output::print;
 use crate::commands::render::lights::Lights;
 use crate::commands::render::sink::{Frame, Kind, Sink};
@@ -30,7 +30,6 @@ use glam::Vec3;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use recordings::types::{Mesh, RgbImage};
-use std::path::PathBuf;
 use std::time::Instant;
 
 impl From<RenderError> for Failure {
@@ -49,8 +48,8 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let config = load(&args.settings)?.reality;
     use_threads(args.threads)?;
     let mut sink = Sink::open(&args.output)?;
-    let scan = scan_path(args)?;
-    let (estimate, scan) = read_upright(&args.result, scan.as_deref())?;
+    let estimate = Estimate::read(&args.result)?;
+    let scan = read_scan(args)?;
     let mut lights = args.light.as_deref().map(|l| Lights::open(l, args.light_yaw)).transpose()?;
     let views = views(&args.view, &estimate, scan.as_ref(), args.size)?;
     let near = changed_light(&estimate.local_light, &args.lamp, &args.emitter, lights.is_some())?;
@@ -123,12 +122,14 @@ fn check_frames(sink: &Sink, views: usize, lights: Option<usize>) -> Result<(), 
 }
 
 /// The scan, if it is there or was named.
-fn scan_path(args: &Render) -> Result<Option<PathBuf>, Failure> {
-    let path = find_scan(args.scan.as_deref(), &args.result);
-    if path.is_none() && args.over.is_some() {
-        return Err(Failure::Usage("--over photo needs the scan with its pictures: --scan FILE".into()));
-    }
-    Ok(path)
+fn read_scan(args: &Render) -> Result<Option<Scan>, Failure> {
+    let Some(path) = find_scan(args.scan.as_deref(), &args.result) else {
+        if args.over.is_some() {
+            return Err(Failure::Usage("--over photo needs the scan with its pictures: --scan FILE".into()));
+        }
+        return Ok(None);
+    };
+    Ok(Some(Scan::read(&path)?))
 }
 
 fn picture_of(scan: Option<&Scan>, name: &str) -> Option<RgbImage> {

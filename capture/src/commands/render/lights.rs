@@ -1,13 +1,13 @@
 //! New lights for `lumiscan render`: panoramas, videos, the light of another result, or coefficients.
 
-use crate::commands::files::{has_extension, read_upright};
+use crate::commands::files::has_extension;
 use crate::commands::render::ffmpeg::find_ffmpeg;
 use crate::failure::Failure;
 use estimator::render::lighting::environment::Environment;
 use estimator::render::lighting::panorama::{Panorama, Projector, turned};
 use estimator::render::relight::{BANDS, NewLight};
 use glam::Vec3;
-use recordings::result::Light;
+use recordings::result::{Estimate, Light};
 use recordings::types::Response;
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
@@ -41,7 +41,7 @@ impl Lights {
     pub fn open(text: &str, yaw_deg: f32) -> Result<Self, Failure> {
         let path = Path::new(text);
         let source = if let Some(other) = text.strip_prefix("result:") {
-            let (other, _) = read_upright(Path::new(other), None)?;
+            let other = Estimate::read(Path::new(other))?;
             if !other.local_light.lamps.is_empty() || !other.local_light.emitters.is_empty() {
                 tracing::warn!("{text}: its lamps stay where they are; only its light from far away is taken");
             }

@@ -24,8 +24,6 @@ pub fn scan_of(sensor: &Sensor, config: &Config, mesh: Mesh, pictures: &[Arc<Pic
         witnesses: Vec::new(),
         config: coarse(config).to_toml(),
         stats: CaptureStats::default(),
-        // The light is shown as the live surface is: in the frame of the scan.
-        up: None,
     }
 }
 

@@ -8,7 +8,6 @@ use crate::render::objects::gltf::document;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
 use crate::render::objects::ply;
-use crate::upright::upright;
 use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
@@ -145,7 +144,7 @@ fn from_file(path: &Path) -> Result<Object> {
 
 /// A result's surface, or some of its segments.
 fn part_of(path: &Path, segments: &[u32], config: &RealityConfig) -> Result<Object> {
-    let result = upright(Estimate::read(path)?);
+    let result = Estimate::read(path)?;
     if let Some(s) = segments.iter().find(|s| !result.segment.contains(s)) {
         let most = result.segments.len().saturating_sub(1);
         return Err(RenderError::file(path, format!("has no segment {s} (they go from 0 to {most})")));
