@@ -93,9 +93,11 @@ pub fn estimate_on(
     let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
 
     // Glare of the lens, and §3.2 again: segments of like albedo are one material.
-    if local_light.model == LightModel::Distant {
+    let (blocked, bands) = (model.traced.mean_blocked(), model.options.bands);
+    if local_light.model == LightModel::Distant && run.plan.materials(blocked, bands) {
         found = stages::remove_veil(&mut prepared, found, &model.options, config);
         found = stages::merge_materials(&mut prepared, found, &model.options, config);
+        run.plan.materials_done(blocked, bands);
     }
 
     // §3.4: specular weights (Eq. 13), and the factorisation without gloss.

@@ -421,6 +421,8 @@ pub enum Cut {
     LocalLight,
     /// No texture was made.
     Texture,
+    /// Glare was not looked for, nor segments joined by their albedo.
+    Materials,
 }
 
 impl Cut {

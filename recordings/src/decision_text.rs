@@ -349,6 +349,7 @@ impl fmt::Display for Cut {
             }
             Self::Specular => f.write_str("specular: not looked for"),
             Self::Texture => f.write_str("texture: not made"),
+            Self::Materials => f.write_str("veiling glare, materials of like albedo: not looked for"),
             Self::LocalLight => f.write_str("light: lamps and emitting surfaces were not looked for"),
             Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
             Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),

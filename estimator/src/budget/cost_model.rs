@@ -41,6 +41,9 @@ const LIKELY_BOUNCES: f64 = 8.0;
 /// Series of bounces in a run: for model selection, the first albedo, the last albedo, and again without gloss.
 pub const BOUNCED: f64 = 4.0;
 
+/// Factorisations that tell glare and materials: trials of the share, one without glare, two with materials.
+pub const AGAIN: f64 = 4.0;
+
 /// Size of a scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {

@@ -303,6 +303,22 @@ impl<'a> Plan<'a> {
         self.worked(cost_model::local_light(&size));
     }
 
+    /// True if glare and materials can be looked for before what is planned after them; `blocked` is the share of rays that hit.
+    pub fn materials(&mut self, blocked: f64, bands: usize) -> bool {
+        let size = self.workload.size(&self.size);
+        let fits = self.workload.materials(&size, blocked, bands) + self.workload.end(&size) <= self.left();
+        if !fits {
+            self.fixed.push(Cut::Materials);
+        }
+        fits
+    }
+
+    /// Glare and materials were looked for.
+    pub fn materials_done(&mut self, blocked: f64, bands: usize) {
+        let size = self.workload.size(&self.size);
+        self.worked(self.workload.materials(&size, blocked, bands));
+    }
+
     /// True if gloss is asked for and fits.
     pub fn specular(&mut self, bands: usize) -> bool {
         let size = self.workload.size(&self.size);

@@ -82,6 +82,12 @@ impl Workload {
             + SOLUTIONS * cost_model::solution(self.bands)
     }
 
+    /// Reference seconds of the factorisations that tell glare and materials.
+    pub(super) fn materials(&self, size: &Size, blocked: f64, bands: usize) -> f64 {
+        let once = cost_model::bounces(size.vertices, self.rays, blocked, self.bounces) + cost_model::solution(bands);
+        cost_model::AGAIN * once
+    }
+
     /// Reference seconds of gloss, texture and output.
     pub(super) fn end(&self, size: &Size) -> f64 {
         let specular = if self.specular { cost_model::specular(size, self.bands) } else { 0.0 };

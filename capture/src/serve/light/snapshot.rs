@@ -35,6 +35,7 @@ fn coarse(config: &Config) -> Config {
     (e.transfer, e.quality) = (TransferChoice::Shade, Quality::Draft);
     (e.refine_poses, e.specular) = (Switch::Off, Switch::Off);
     e.tuning.factorisation.near_light = false;
+    e.tuning.factorisation.veil = false;
     config
 }
 
