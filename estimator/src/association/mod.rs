@@ -3,7 +3,8 @@
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`]; exposures, Eq. (5):
 //! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
-//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response.
+//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`veil`] is the
+//! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
 
 pub mod alignment;
 pub mod alternation;
@@ -22,6 +23,7 @@ pub mod re_exposure;
 pub mod response;
 pub mod sampling;
 pub mod veil;
+pub mod veil_removal;
 
 pub use alternation::{AssociationEffort, associate, associate_within};
 pub use context::AssociationContext;
