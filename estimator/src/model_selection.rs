@@ -1,5 +1,6 @@
 //! Model only what the scene requires (§7 of the design): bands, transfer and rays, by evidence from this scene.
 
+use crate::factorisation::held_out::BlockError;
 use crate::factorisation::{Colors, Factorised, Observed, Solution, Start, held_out, robust_solver, start_from};
 use crate::numerics::robust::{SampleMean, median};
 use crate::transfer::{self, ERROR_OF_TWICE, Traced, Transfer};
@@ -32,7 +33,7 @@ pub fn rays(traced: &Traced, held_out: f64, tuning: &ModelSelectionTuning) -> u3
 /// Mean relative error of a factorisation on held-out vertices.
 #[must_use]
 pub fn held_out_error(found: &Factorised, colors: &Colors, tuning: &EstimatorTuning) -> f64 {
-    mean(&HeldOut::new(colors, tuning).errors(&found.solution.albedo, &found.irradiance))
+    held_out::mean(&HeldOut::new(colors, tuning).errors(&found.solution.albedo, &found.irradiance))
 }
 
 /// True if visibility is ignored: fewer rays are blocked than colours err.
@@ -110,14 +111,6 @@ pub fn bands(traced: &Arc<Traced>, colors: &Colors, limits: &BandLimits, tuning:
     Selected { bands, held_out, decision, start }
 }
 
-/// Held-out vertices of one block: block, sum of the relative errors, number of vertices.
-type Block = (u32, f64, f64);
-
-fn mean(blocks: &[Block]) -> f64 {
-    let (sum, count) = blocks.iter().fold((0.0, 0.0), |(s, n), b| (s + b.1, n + b.2));
-    sum / f64::max(count, 1.0)
-}
-
 /// The held-out vertices.
 struct HeldOut<'a> {
     colors: &'a Colors<'a>,
@@ -140,7 +133,7 @@ impl<'a> HeldOut<'a> {
     }
 
     /// Relative errors of albedo × irradiance by blocks. `albedo` is `[segment][channel]`, `irradiance` over π is `[vertex]`.
-    fn errors(&self, albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<Block> {
+    fn errors(&self, albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<BlockError> {
         let colors = self.colors;
         let errors: Vec<Option<(u32, f64)>> = (0..colors.lit_color.len())
             .into_par_iter()
@@ -156,36 +149,25 @@ impl<'a> HeldOut<'a> {
                 Some((block, ((off(0) + off(1) + off(2)) / (3.0 * size)).min(self.max_error)))
             })
             .collect();
-        let mut blocks: Vec<Block> = Vec::new();
-        for (block, error) in errors.into_iter().flatten() {
-            match blocks.last_mut() {
-                Some(last) if last.0 == block => {
-                    last.1 += error;
-                    last.2 += 1.0;
-                }
-                _ => blocks.push((block, error, 1.0)),
-            }
-        }
-        blocks
+        held_out::by_block(errors.into_iter().flatten())
     }
 }
 
 /// One number of bands, with its solution and its errors on held-out vertices.
 struct Level {
     bands: usize,
-    blocks: Vec<Block>,
+    blocks: Vec<BlockError>,
     solution: Solution,
 }
 
 impl Level {
     fn error(&self) -> f64 {
-        mean(&self.blocks)
+        held_out::mean(&self.blocks)
     }
 
     /// How much lower the error is than that of `other`, over the same blocks.
     fn gain_over(&self, other: &Self) -> SampleMean {
-        let gains: Vec<f64> = self.blocks.iter().zip(&other.blocks).map(|(a, b)| (b.1 - a.1) / a.2).collect();
-        SampleMean::of(&gains)
+        held_out::gain(&self.blocks, &other.blocks)
     }
 }
 

@@ -30,7 +30,11 @@ pub fn texture(
         albedo: &answer.found.detail.albedo,
     };
     let stride = run.plan.workload().keyframe_stride;
-    let keyframes: Vec<_> = scan.keyframes.iter().zip(&prepared.fields.views).step_by(stride).collect();
+    let keyframes: Vec<_> = (scan.keyframes.iter().zip(&prepared.fields.views))
+        .zip(&prepared.fields.veils)
+        .map(|((keyframe, view), veil)| (keyframe, view, veil))
+        .step_by(stride)
+        .collect();
     let (texture, decision) = albedo::texture(&context, &keyframes, colors, prepared.fields.veil_share);
     prepared.decisions.push(decision);
     run.plan.texture_done();

@@ -1,16 +1,16 @@
 //! The albedo texture: radiance of the texels, less gloss, over the light at the vertices.
 
-use crate::association::{AssociationContext, RefinedView};
+use crate::association::AssociationContext;
 use crate::export::picture::encode_jpeg;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
 use crate::texture::texels::blend;
-use crate::texture::views::{TextureView, ViewSample, views};
+use crate::texture::views::{PosedKeyframe, TextureView, ViewSample, views};
 use firmware_config::TextureChoice;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use recordings::decision::{AtlasFigures, Decision};
 use recordings::result::Texture;
-use recordings::types::{Keyframe, Response};
+use recordings::types::Response;
 
 /// Vertices at which the footprint of the pixels is looked up.
 const FOOTPRINT_VERTICES: usize = 4000;
@@ -38,7 +38,7 @@ pub struct VertexColors<'a> {
 #[must_use]
 pub fn texture(
     context: &AssociationContext,
-    keyframes: &[(&Keyframe, &RefinedView)],
+    keyframes: &[PosedKeyframe],
     colors: VertexColors,
     veil_share: f64,
 ) -> (Option<Texture>, Decision) {

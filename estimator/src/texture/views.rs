@@ -44,14 +44,13 @@ pub struct ViewSample {
     pub clipped: bool,
 }
 
+/// A keyframe, its pose and exposure, and its veil if its picture can be decoded.
+pub type PosedKeyframe<'a> = (&'a Keyframe, &'a RefinedView, &'a Option<Veil>);
+
 /// The keyframes whose pictures can be decoded, freed of this share of veiling glare.
 #[must_use]
-pub fn views(
-    context: &AssociationContext,
-    keyframes: &[(&Keyframe, &RefinedView)],
-    veil_share: f64,
-) -> Vec<TextureView> {
-    let view = |&(keyframe, view): &(&Keyframe, &RefinedView)| {
+pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], veil_share: f64) -> Vec<TextureView> {
+    let view = |&(keyframe, view, veil): &PosedKeyframe| {
         let image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
         let points = camera_positions(context.mesh, &view.world_from_camera);
         let raster = Raster::new(&points, &context.mesh.triangles, &image.camera, context.near);
@@ -60,7 +59,7 @@ pub fn views(
             camera_from_world: view.world_from_camera.inverse(),
             center: view.world_from_camera.translation.as_vec3(),
             exposure: Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32)),
-            veil: Veil::of(&image, &keyframe.camera, &context.table),
+            veil: veil.clone()?,
             veil_share: veil_share as f32,
             depth: raster.depth,
             focal: 0.5 * (image.camera.fx.abs() + image.camera.fy.abs()),
