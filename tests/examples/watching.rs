@@ -34,30 +34,30 @@ const RAYS: u32 = 64;
 const HIDDEN: f32 = 0.5;
 /// Cells of the true scene, whose light alone is used.
 const CELL_M: f32 = 0.02;
-/// Runs of each kind; the cheapest counts.
-const RUNS: usize = 3;
+/// Runs of each kind.
+const RUNS: usize = 7;
 
 fn main() -> Outcome<()> {
     let lumiscan = std::env::args().nth(1).ok_or("usage: watching LUMISCAN")?;
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop.lrec");
-    let cost = |clients: usize| -> Outcome<Watched> {
-        let runs =
-            (0..RUNS).map(|_| watch(&lumiscan, &recording, clients, &["--no-estimate", "--set", "serve.light=false"]));
-        let runs = runs.collect::<Outcome<Vec<_>>>()?;
-        runs.into_iter().min_by(|a, b| a.cpu_s.total_cmp(&b.cpu_s)).ok_or_else(|| "no run".into())
-    };
-    let (alone, two) = (cost(0)?, cost(2)?);
-    let pairs = alone.pairs as f64;
-    println!("frame pairs: {pairs}; pictures that each of two clients received: {}", two.late_s.len() / 2);
+    let run = |clients: usize| watch(&lumiscan, &recording, clients, &["--no-estimate", "--set", "serve.light=false"]);
+    // In turns, so that what else goes on meets both kinds alike.
+    let pairs_of_runs = (0..RUNS).map(|_| Ok((run(0)?, run(2)?))).collect::<Outcome<Vec<_>>>()?;
+    let (alone, two): (Vec<Watched>, Vec<Watched>) = pairs_of_runs.into_iter().unzip();
+    let per_pair = |w: &Watched| w.cpu_s * 1e3 / w.pairs.max(1) as f64;
+    let median = |values: Vec<f64>| percentile(&values, 0.5);
+    let differences: Vec<f64> = alone.iter().zip(&two).map(|(a, t)| per_pair(t) - per_pair(a)).collect();
+    println!("frame pairs: {}; pictures that each of two clients received: {}", two[0].pairs, two[0].late_s.len() / 2);
     println!(
-        "cost of two clients: {:.2} CPU-ms a frame pair ({:.1} with, {:.1} without)",
-        (two.cpu_s - alone.cpu_s) * 1e3 / pairs,
-        two.cpu_s * 1e3 / pairs,
-        alone.cpu_s * 1e3 / pairs
+        "cost of two clients: {:.2} CPU-ms a frame pair, median of {RUNS} pairs of runs ({:.1} with, {:.1} without; {differences:.1?})",
+        median(differences.clone()),
+        median(two.iter().map(per_pair).collect()),
+        median(alone.iter().map(per_pair).collect()),
     );
-    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    println!("peak memory: {:.1} MiB with, {:.1} MiB without", mib(two.peak_bytes), mib(alone.peak_bytes));
-    let ms = |share: f64| percentile(&two.late_s, share) * 1e3;
+    let peak = |runs: &[Watched]| median(runs.iter().map(|w| w.peak_bytes as f64 / f64::from(1 << 20)).collect());
+    println!("peak memory: {:.1} MiB with, {:.1} MiB without", peak(&two), peak(&alone));
+    let late: Vec<f64> = two.iter().flat_map(|w| w.late_s.iter().copied()).collect();
+    let ms = |share: f64| percentile(&late, share) * 1e3;
     println!(
         "lateness of pictures: median {:.0} ms, 95th percentile {:.0} ms, worst {:.0} ms",
         ms(0.5),
