@@ -41,7 +41,7 @@ section! {
         /// Largest number of vertices of such an estimate.
         light_vertices: u32 = 6000, [200..=20000], "vertices", "";
         /// Largest number of pictures of such an estimate.
-        light_pictures: u32 = 8, [2..=32], "pictures", "";
+        light_pictures: u32 = 16, [2..=32], "pictures", "";
         /// Time that a replay with --watch waits for the first page to open.
         wait_s: f64 = 60.0, [0.0..=3600.0], "s", "";
     }

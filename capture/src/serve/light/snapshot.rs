@@ -7,7 +7,7 @@ use recordings::types::{CameraModel, ColorEncoding, ColorFrame, Keyframe, Mesh, 
 use std::sync::Arc;
 
 /// SH bands and rays per vertex of the estimate.
-const BANDS: u32 = 4;
+const BANDS: u32 = 5;
 const RAYS: u32 = 32;
 const ROUNDS: u32 = 2;
 
@@ -30,9 +30,10 @@ pub fn scan_of(sensor: &Sensor, config: &Config, mesh: Mesh, pictures: &[Arc<Pic
 /// The settings with everything that costs time reduced.
 fn coarse(config: &Config) -> Config {
     let mut config = config.clone();
+    let most = config.serve.light_vertices;
     let e = &mut config.estimator;
-    (e.bands, e.rays, e.association_rounds, e.regularise) = (BANDS, RAYS, ROUNDS, 0.0);
-    (e.transfer, e.quality) = (TransferChoice::Shade, Quality::Draft);
+    (e.bands, e.rays, e.association_rounds, e.max_vertices) = (BANDS, RAYS, ROUNDS, most);
+    (e.transfer, e.quality) = (TransferChoice::Gi, Quality::Draft);
     (e.refine_poses, e.specular) = (Switch::Off, Switch::Off);
     e.tuning.factorisation.near_light = false;
     e.tuning.factorisation.veil = false;

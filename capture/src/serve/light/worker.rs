@@ -19,8 +19,10 @@ const POLL: Duration = Duration::from_millis(100);
 const FEWEST_PICTURES: usize = 3;
 const FEWEST_SURFELS: usize = 500;
 /// The first estimates come sooner: not later than this share of the scan's time after the one before, and this time.
-const SOONER_SHARE: f64 = 0.5;
+const SOONER_SHARE: f64 = 0.25;
 const SOONER_S: f64 = 0.5;
+/// Vertices of the mesh that is handed over, in those of the estimate: the estimator makes an even mesh of it.
+const FINER: usize = 2;
 /// Address space of the estimator's process, MB.
 const MEMORY_MB: u32 = 512;
 
@@ -83,7 +85,7 @@ fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<Op
 /// The estimate and its processor time in seconds.
 fn found_in(seen: &Seen, config: &Config, stop: &Stop, folder: &Path) -> Result<(f64, Estimate), String> {
     let text = |e: &dyn std::fmt::Display| e.to_string();
-    let mesh = coarse_mesh(&seen.blocks, seen.voxel_m, config.serve.light_vertices as usize);
+    let mesh = coarse_mesh(&seen.blocks, seen.voxel_m, FINER * config.serve.light_vertices as usize);
     std::fs::create_dir_all(folder).map_err(|e| text(&e))?;
     let (scan, result): (PathBuf, PathBuf) = (folder.join("scan.lscan"), folder.join("result.lres"));
     scan_of(&seen.sensor, config, mesh, &seen.pictures).write(&scan).map_err(|e| text(&e))?;
