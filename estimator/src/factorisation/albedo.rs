@@ -32,31 +32,23 @@ pub struct Evidence<'a> {
     irradiance: &'a [Vec3],
     /// Relative error of the transfer: `[vertex]`.
     transfer_error: &'a [f32],
-    /// Standard deviation of the log irradiance that the model of light leaves unexplained in plain surfaces.
-    unexplained: f64,
 }
 
 impl<'a> Evidence<'a> {
     /// Lit colours, irradiance over π and relative error of the transfer, the latter two `[vertex]`.
     #[must_use]
     pub fn new(colors: &'a Colors, irradiance: &'a [Vec3], transfer_error: &'a [f32]) -> Self {
-        Self { colors, irradiance, transfer_error, unexplained: 0.0 }
-    }
-
-    /// The same where the model of light leaves this standard deviation of the log irradiance unexplained in plain surfaces: a
-    /// segment's own spread of albedo is what exceeds it.
-    #[must_use]
-    pub fn with_unexplained(self, unexplained: f64) -> Self {
-        Self { unexplained, ..self }
+        Self { colors, irradiance, transfer_error }
     }
 }
 
 /// a_i = f_i / E_i, regularised towards the segment's albedo where E_i is small or uncertain: the posterior mean of log a_i
-/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. `segment_albedo` is `[segment][channel]`;
-/// its scale is not fixed yet, nor is that of the answer.
+/// with the segment's spread as prior and the errors of f_i and E_i as likelihood. What spreads plain surfaces is error of the
+/// light and the colours, not paint: a segment's own spread of albedo is what exceeds it. `segment_albedo` is
+/// `[segment][channel]`; its scale is not fixed yet, nor is that of the answer.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
-    let &Evidence { colors, irradiance, transfer_error, unexplained } = evidence;
+    let &Evidence { colors, irradiance, transfer_error } = evidence;
     let count = colors.lit_color.len();
     let logs: Vec<Option<[f64; 3]>> = (0..count)
         .into_par_iter()
@@ -68,6 +60,8 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
         })
         .collect();
     let spreads = spreads(colors.segment, &logs, segment_albedo.len());
+    let unexplained = plain_spread(&spreads, tuning);
+    let texture = |s: usize| (spreads[s].deviation * spreads[s].deviation - unexplained * unexplained).max(0.0);
     let brightness = medians(evidence, segment_albedo.len());
     let vector = |a: [f64; 3]| Vec3::from_array(a.map(|x| x as f32));
     let (albedo, confidence) = (0..count)
@@ -85,8 +79,7 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
                 + light_error * light_error
                 + color_error * color_error
                 + f64::from(transfer_error[i] * transfer_error[i]);
-            let texture = (spreads[segment] * spreads[segment] - unexplained * unexplained).max(0.0);
-            let detail_share = texture / (texture + variance);
+            let detail_share = texture(segment) / (texture(segment) + variance);
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
             let seen = f64::from(colors.lit_weight[i]).min(1.0);
             (
@@ -98,15 +91,37 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
     Detail { albedo, confidence }
 }
 
-/// Robust standard deviation of log albedo: `[segment]`.
-fn spreads(segment: &[u32], logs: &[Option<[f64; 3]>], segments: usize) -> Vec<f64> {
+/// How far the log albedos of a segment's vertices lie from the segment's.
+struct Spread {
+    /// Robust standard deviation.
+    deviation: f64,
+    /// Vertices with an albedo.
+    vertices: usize,
+}
+
+/// The spread of every segment: `[segment]`.
+fn spreads(segment: &[u32], logs: &[Option<[f64; 3]>], segments: usize) -> Vec<Spread> {
     let mut off: Vec<Vec<f64>> = vec![Vec::new(); segments];
     for (log, segment) in logs.iter().zip(segment) {
         if let (Some(log), Some(off)) = (log, off.get_mut(*segment as usize)) {
             off.push((log[0].abs() + log[1].abs() + log[2].abs()) / 3.0);
         }
     }
-    off.into_iter().map(robust_sigma).collect()
+    off.into_iter().map(|off| Spread { vertices: off.len(), deviation: robust_sigma(off) }).collect()
+}
+
+/// The standard deviation of log albedo that is unexplained in plain surfaces: the largest of the plainest segments that hold
+/// a share of the surface, and bounded, since all surfaces of a scene may have paint.
+fn plain_spread(spreads: &[Spread], tuning: &FactorisationTuning) -> f64 {
+    let mut sorted: Vec<&Spread> = spreads.iter().collect();
+    sorted.sort_by(|a, b| a.deviation.total_cmp(&b.deviation));
+    let plain = tuning.plain_share * sorted.iter().map(|s| s.vertices).sum::<usize>() as f64;
+    let mut below = 0;
+    let largest = sorted.into_iter().find(|s| {
+        below += s.vertices;
+        below as f64 > plain
+    });
+    largest.map_or(0.0, |s| s.deviation.min(tuning.max_unexplained))
 }
 
 /// Median of the irradiance summed over channels: `[segment]`.
@@ -118,4 +133,30 @@ fn medians(evidence: &Evidence, segments: usize) -> Vec<f64> {
         }
     }
     all.into_iter().map(|values| median(values).unwrap_or(0.0)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three surfaces of 100 vertices in even light: two are off by 5 % (error), one by half (paint).
+    #[test]
+    fn paint_stays_and_errors_of_plain_surfaces_go() {
+        let segment: Vec<u32> = (0..300).map(|i| i / 100).collect();
+        let off = |i: u32| if i / 100 == 2 { 0.5 } else { 0.05 };
+        let lit_color: Vec<Vec3> =
+            (0..300).map(|i| Vec3::splat(0.4 * if i % 2 == 0 { 1.0 + off(i) } else { 1.0 - off(i) })).collect();
+        let weight = vec![1.0; 300];
+        let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: 3, known: None };
+        let evidence = Evidence::new(&colors, &[Vec3::ONE; 300], &[0.0; 300]);
+        let found = detail(&evidence, &[[0.4; 3]; 3], &FactorisationTuning::default());
+        for (i, albedo) in found.albedo.iter().enumerate() {
+            let (kept, seen) = (albedo.x / 0.4 - 1.0, lit_color[i].x / 0.4 - 1.0);
+            if segment[i] == 2 {
+                assert!(kept / seen > 0.9, "vertex {i}: {kept} of {seen}");
+            } else {
+                assert!(kept.abs() < 0.01, "vertex {i}: {kept}");
+            }
+        }
+    }
 }

@@ -12,7 +12,7 @@ use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
 use crate::mesh::graph::Graph;
-use crate::numerics::robust::{robust_sigma, weighted_median};
+use crate::numerics::robust::weighted_median;
 use crate::rays::RayScene;
 use crate::transfer::Traced;
 use firmware_config::tuning::FactorisationTuning;
@@ -49,10 +49,6 @@ const INFINITE: f32 = 1e3;
 const MIN_REST: f64 = 0.1;
 /// Times that radiance of what was not seen is taken from the model.
 const FILLS: usize = 2;
-/// Quantile of the segments' spread of log albedo that is taken as that of plain ones.
-const PLAIN: f64 = 0.25;
-/// At most so much of it is taken for the light's error: where no surface is plain, the spread is that of the albedo.
-const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// What the choice is made from.
 #[derive(Clone, Copy)]
@@ -416,8 +412,7 @@ impl<'a> Choice<'a> {
         mut light: LocalLight,
     ) -> Near {
         let transfer_error = self.traced.relative_errors();
-        let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error)
-            .with_unexplained(self.plain_spread(&solution, &irradiance));
+        let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error);
         let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
         let emitting = || light.emitters.iter().flat_map(|e| &e.vertices);
         emitting().for_each(|i| detail.confidence[*i as usize] = 0.0);
@@ -443,28 +438,6 @@ impl<'a> Choice<'a> {
         let [wanted, had] = [(all - reflected) * factor, all * factor - reflected];
         let ratio = |c: usize| if had[c] > 0.0 { (wanted[c] / had[c]).max(MIN_REST) } else { 1.0 };
         DVec3::new(ratio(0), ratio(1), ratio(2))
-    }
-
-    /// What light leaves unexplained: the spread of log albedo within plain segments.
-    fn plain_spread(&self, solution: &Solution, irradiance: &[Vec3]) -> f64 {
-        let mut logs: Vec<Vec<f64>> = vec![Vec::new(); self.samples.segments];
-        let mut weights = vec![0.0; self.samples.segments];
-        for n in 0..self.samples.len() {
-            let s = self.samples.segment[n] as usize;
-            let (f, e) = (self.samples.color[n], irradiance[self.samples.vertex[n] as usize]);
-            let log = |c: usize| libm::log(f[c].max(1e-30) / (f64::from(e[c]) * solution.albedo[s][c]).max(1e-30));
-            logs[s].push((log(0).abs() + log(1).abs() + log(2).abs()) / 3.0);
-            weights[s] += self.samples.weight[n];
-        }
-        let total: f64 = weights.iter().sum();
-        let mut spreads: Vec<(f64, f64)> = logs.into_iter().map(robust_sigma).zip(weights).collect();
-        spreads.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut below = 0.0;
-        let plain = spreads.into_iter().find(|(_, w)| {
-            below += w;
-            below > PLAIN * total
-        });
-        plain.map_or(0.0, |(spread, _)| spread.min(MAX_UNEXPLAINED))
     }
 }
 
