@@ -3,7 +3,6 @@
 use crate::cli::Effort;
 use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::{self, CaptureEntry, EstimatorEntry, MANIFEST, Manifest};
-use crate::device_folder::naming::utc;
 use crate::device_folder::staging::Staging;
 use crate::estimator_process::{self, Files};
 use crate::failure::Failure;
@@ -12,7 +11,6 @@ use crate::pipeline::Captured;
 use crate::report::Reporter;
 use crate::stop::Stop;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 /// A published scan.
 pub struct Published {
@@ -29,7 +27,7 @@ pub struct Published {
 /// # Errors
 /// The disk is full or gone, or a signal came; nothing is published then.
 pub fn publish(
-    staging: Staging,
+    mut staging: Staging,
     name: String,
     mut capture: CaptureEntry,
     effort: Option<&Effort>,
@@ -44,10 +42,10 @@ pub fn publish(
         }
     };
     stop.check()?;
-    let published = utc(SystemTime::now());
     // The peak includes the result, which was read back.
     capture.memory_peak_bytes = memory::peak_bytes();
-    let manifest = Manifest::new(staging.folder(), name, published, capture, estimator)?;
+    let dates = staging.dates();
+    let manifest = Manifest::new(staging.folder(), name, dates, capture, estimator)?;
     write_file(&staging.folder().join(MANIFEST), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;
     Ok(Published { folder, manifest, failure })

@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{arg, lumiscan, ok, text};
+use common::{arg, lumiscan, ok, preload, text};
 use recordings::recording::{Event, RecordingReader};
 use recordings::types::UsbPacket;
 use serde_json::Value;
@@ -31,14 +31,8 @@ fn stage() -> &'static Stage {
     static STAGE: OnceLock<Stage> = OnceLock::new();
     STAGE.get_or_init(|| {
         let folder = tempfile::tempdir().unwrap();
-        let (library, play) = (folder.path().join("kinect_usbfs.so"), folder.path().join("play"));
+        let (library, play) = (preload("usbfs/kinect_usbfs.c", folder.path()), folder.path().join("play"));
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let built = Command::new(std::env::var("CC").unwrap_or("cc".into()))
-            .args(["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", "-o", &arg(&library)])
-            .arg(here.join("../tests/usbfs/kinect_usbfs.c"))
-            .args(["-lpthread", "-ldl"])
-            .status();
-        assert!(built.unwrap().success(), "the C compiler that built libusb builds this");
         let source = arg(folder.path().join("packets.lrec"));
         let plan = format!("{},fast", arg(here.join("../recordings/data/tabletop.lrec")));
         ok(&["record", &source, "--raw", "--seconds", "3.6", "--simulate", &plan]);

@@ -69,6 +69,7 @@ pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
             page: page.as_ref(),
             reporter,
             last_scan_failed: Cell::new(false),
+            dates_are_right: Cell::new(false),
         };
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| daemon.run(bus)))
             .unwrap_or_else(|panic| Err(Failure::panic(panic.as_ref())));

@@ -4,7 +4,8 @@ use crate::cli::{Capture, Effort};
 use crate::device_folder::files::write_file;
 use crate::device_folder::manifest::CaptureEntry;
 use crate::device_folder::retention;
-use crate::device_folder::staging::Staging;
+use crate::device_folder::staging::{Staging, remove_abandoned};
+use crate::device_folder::undated;
 use crate::failure::Failure;
 use crate::kinect::driver::{Kinect, Led};
 use crate::kinect::frame_queue::Wanted;
@@ -58,6 +59,8 @@ pub struct Daemon<'a> {
     pub reporter: &'a Reporter,
     /// The last scan ended with an error, which the LED shows until the next one begins.
     pub last_scan_failed: Cell<bool>,
+    /// No scan waits for its date.
+    pub dates_are_right: Cell<bool>,
 }
 
 impl Daemon<'_> {
@@ -121,6 +124,7 @@ impl Daemon<'_> {
                     last = Some(e);
                 }
             }
+            self.put_dates_right();
             self.sleep(DEVICE_POLL);
         }
         None
@@ -135,6 +139,7 @@ impl Daemon<'_> {
             }
             if looked.elapsed() >= DEVICE_POLL {
                 looked = Instant::now();
+                self.put_dates_right();
                 if !bus.is_here(kinect.found()) {
                     tracing::info!("the Kinect was unplugged");
                     return None;
@@ -151,7 +156,7 @@ impl Daemon<'_> {
         let mut live = self.started(Live::start(kinect, Wanted::NewFrames, &self.config.kinect))?;
         let buffers = live.buffers().clone();
         let mut motion = Motion::new(&self.config.daemon);
-        let mut armed = false;
+        let (mut armed, mut looked) = (false, Instant::now());
         while self.stop.check().is_ok() && self.orders.is_auto() {
             let polled = live.poll(&mut |event| {
                 match &event {
@@ -167,6 +172,10 @@ impl Daemon<'_> {
                 Err(e) => return self.started(Err(e)),
             }
             self.board.driver(&live.stats(), live.exposure_us());
+            if looked.elapsed() >= DEVICE_POLL {
+                looked = Instant::now();
+                self.put_dates_right();
+            }
             armed |= motion.still_s() >= self.config.daemon.start_still_s;
             if self.orders.take_start() || (armed && motion.is_moving()) {
                 return Some(live);
@@ -262,6 +271,7 @@ impl Daemon<'_> {
     /// Finishes the scans of an interrupted run, or sets them aside.
     fn finish_interrupted(&self) -> Result<(), Failure> {
         let device = &self.args.device;
+        remove_abandoned(&device.join("scans"));
         for folder in retention::unfinished(device) {
             if self.stop.check().is_err() {
                 break;
@@ -288,6 +298,25 @@ impl Daemon<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Dates the scans that were made before the clock was set, once it is.
+    fn put_dates_right(&self) {
+        if self.dates_are_right.get() {
+            return;
+        }
+        let is_busy = |id: &str| self.page.is_some_and(|page| page.works_on(id));
+        let Some(changed) = undated::put_right(&self.args.device, is_busy) else { return };
+        self.dates_are_right.set(true);
+        for (old, new) in changed {
+            let (old, new) = (old.display().to_string(), new.display().to_string());
+            tracing::info!("the clock is set: {old} is now {new}");
+            self.board.set(|s| {
+                if s.last_scan.as_ref() == Some(&old) {
+                    s.last_scan = Some(new);
+                }
+            });
+        }
     }
 
     fn report_problem(&self, problem: &str) {

@@ -2,6 +2,7 @@
 //! readings.
 
 use crate::device_folder::files::write_file;
+use crate::device_folder::undated::Dates;
 use crate::failure::Failure;
 use recordings::crc32_of_file;
 use recordings::decision_text::Findings;
@@ -24,8 +25,9 @@ pub struct Manifest {
     pub format: u32,
     /// Name of the scan.
     pub name: String,
-    /// When it was published (UTC).
-    pub published: String,
+    /// When it was made.
+    #[serde(flatten)]
+    pub dates: Dates,
     /// Version of the program.
     pub lumiscan: &'static str,
     /// Every other file of the folder.
@@ -165,12 +167,12 @@ impl Manifest {
     pub fn new(
         folder: &Path,
         name: String,
-        published: String,
+        dates: Dates,
         capture: CaptureEntry,
         estimator: EstimatorEntry,
     ) -> Result<Self, Failure> {
         let files = list(folder)?;
-        Ok(Self { format: FORMAT, name, published, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
+        Ok(Self { format: FORMAT, name, dates, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
     }
 
     /// As JSON.

@@ -1,7 +1,7 @@
 //! The device folder. In: a captured scan. Out: `<device>/scans/<utc>-<name>/`, which appears complete or not at all
 //! ([`staging`]), described by its [`manifest`]. [`retention`] numbers scans and removes the oldest ones;
 //! [`disk`] measures room and speed; [`files`] writes atomically. [`handed_off`] knows which scans are on another machine;
-//! [`replace`] puts a result that comes from there in place.
+//! [`replace`] puts a result that comes from there in place. [`undated`] names scans while the clock is not set, and dates them later.
 
 pub mod disk;
 pub mod files;
@@ -11,3 +11,4 @@ pub mod naming;
 pub mod replace;
 pub mod retention;
 pub mod staging;
+pub mod undated;

@@ -2,7 +2,7 @@
 //! the remains of interrupted runs.
 
 use crate::device_folder::disk::has_room;
-use crate::device_folder::files::write_file;
+use crate::device_folder::files::{sync, write_file};
 use crate::device_folder::handed_off;
 use crate::device_folder::manifest;
 use crate::device_folder::naming::sanitised;
@@ -76,6 +76,7 @@ pub fn set_aside(device: &Path, folder: &Path, keep: u32) -> Result<(), Failure>
     // A folder of the same name is of the same interrupted scan.
     let _ = std::fs::remove_dir_all(&target);
     std::fs::rename(folder, &target).map_err(|e| Failure::writing(&target, e))?;
+    sync(&aside)?;
     tracing::warn!("an interrupted scan is set aside in {}", target.display());
     let mut all = by_age(&aside);
     let surplus = all.len().saturating_sub(keep as usize);
@@ -161,18 +162,34 @@ pub fn rename(folder: &Path, name: &str) -> Result<String, Failure> {
     let old = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let time = old.split('-').next().unwrap_or_default();
     let named = number(&old).map_or_else(|| sanitised(name), |n| with_name(&numbered(n), name));
+    let (id, target) = moved(folder, &format!("{time}-{named}"))?;
+    manifest::change(&target, vec![("name", name.into())])?;
+    Ok(id)
+}
+
+/// Gives a folder this name, with a number appended if that exists; returns the new name and path.
+fn moved(folder: &Path, name: &str) -> Result<(String, PathBuf), Failure> {
     for attempt in 1u32..1000 {
         let suffix = if attempt == 1 { String::new() } else { format!("-{attempt}") };
-        let id = format!("{time}-{named}{suffix}");
+        let id = format!("{name}{suffix}");
         let target = folder.with_file_name(&id);
-        if id != old && target.exists() {
+        if target != folder && target.exists() {
             continue;
         }
         std::fs::rename(folder, &target).map_err(|e| Failure::writing(&target, e))?;
-        manifest::change(&target, vec![("name", name.into())])?;
-        return Ok(id);
+        return Ok((id, target));
     }
     Err(Failure::Internal(format!("{}: no free name for {name}", folder.display())))
+}
+
+/// Puts another time before a published scan's name, and returns its new folder.
+///
+/// # Errors
+/// The disk is full or gone.
+pub fn set_stamp(folder: &Path, stamp: &str) -> Result<PathBuf, Failure> {
+    let old = folder.file_name().unwrap_or_default().to_string_lossy();
+    let name = old.split_once('-').map_or("", |(_, name)| name);
+    moved(folder, &format!("{stamp}-{name}")).map(|(_, target)| target)
 }
 
 /// Removes a folder. It is renamed first, so that readers see all of it or nothing.

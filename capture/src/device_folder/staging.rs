@@ -1,10 +1,10 @@
 //! The folder of a scan that is being made: invisible until it is complete, then renamed into place.
 
 use crate::device_folder::files::sync;
-use crate::device_folder::naming::{sanitised, utc};
+use crate::device_folder::naming::sanitised;
+use crate::device_folder::undated::{self, Dates, Moment};
 use crate::failure::Failure;
 use std::path::{Path, PathBuf};
-use std::time::SystemTime;
 
 /// Prefix of folders that are being filled.
 pub const STAGING: &str = ".staging-";
@@ -16,7 +16,11 @@ pub const UNFINISHED: &str = ".capture-";
 pub struct Staging {
     scans: PathBuf,
     folder: PathBuf,
-    id: String,
+    /// What stands before the name: the time, or that there is none.
+    stamp: String,
+    name: String,
+    /// When it was begun; `None` if an interrupted run did.
+    began: Option<Moment>,
     published: bool,
     /// The folder stays if it is not published, to be finished later.
     keep: bool,
@@ -31,10 +35,10 @@ impl Staging {
         let scans = device.join("scans");
         std::fs::create_dir_all(&scans).map_err(|e| cannot_write(&scans, &e))?;
         remove_abandoned(&scans);
-        let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
-        let folder = scans.join(format!("{STAGING}{}-{id}", std::process::id()));
+        let (stamp, name) = (undated::stamp(), sanitised(name));
+        let folder = scans.join(format!("{STAGING}{}-{stamp}-{name}", std::process::id()));
         std::fs::create_dir(&folder).map_err(|e| cannot_write(&folder, &e))?;
-        Ok(Self { scans, folder, id, published: false, keep: false })
+        Ok(Self { scans, folder, stamp, name, began: Some(Moment::now()), published: false, keep: false })
     }
 
     /// Makes `<device>/scans/.capture-…`, which only the daemon cleans up after an interrupted run.
@@ -43,10 +47,13 @@ impl Staging {
     /// The device folder cannot be written.
     pub fn unattended(device: &Path, name: &str) -> Result<Self, Failure> {
         let scans = device.join("scans");
-        let id = format!("{}-{}", utc(SystemTime::now()), sanitised(name));
-        let folder = scans.join(format!("{UNFINISHED}{id}"));
+        let (stamp, name) = (undated::stamp(), sanitised(name));
+        let folder = scans.join(format!("{UNFINISHED}{stamp}-{name}"));
         std::fs::create_dir_all(&folder).map_err(|e| cannot_write(&folder, &e))?;
-        Ok(Self { scans, folder, id, published: false, keep: false })
+        // After a power cut, what is in it is found.
+        sync(&scans)?;
+        sync(device)?;
+        Ok(Self { scans, folder, stamp, name, began: Some(Moment::now()), published: false, keep: false })
     }
 
     /// Takes over a folder of an interrupted run.
@@ -55,16 +62,21 @@ impl Staging {
     /// It is not such a folder.
     pub fn resume(folder: &Path) -> Result<Self, Failure> {
         let id = folder.file_name().and_then(|n| n.to_str()).and_then(|n| n.strip_prefix(UNFINISHED));
-        let (Some(id), Some(scans)) = (id, folder.parent()) else {
+        let (Some((stamp, name)), Some(scans)) = (id.and_then(|id| id.split_once('-')), folder.parent()) else {
             return Err(Failure::Internal(format!("{}: not an unfinished scan", folder.display())));
         };
-        Ok(Self { scans: scans.into(), folder: folder.into(), id: id.into(), published: false, keep: true })
+        let (scans, folder, stamp, name) = (scans.into(), folder.into(), stamp.into(), name.into());
+        Ok(Self { scans, folder, stamp, name, began: None, published: false, keep: true })
     }
 
     /// Publishes under another name.
     pub fn set_name(&mut self, name: &str) {
-        let time = self.id.split('-').next().unwrap_or_default();
-        self.id = format!("{time}-{}", sanitised(name));
+        self.name = sanitised(name);
+    }
+
+    /// Its dates, if it is published now.
+    pub fn dates(&mut self) -> Dates {
+        undated::dates(&mut self.stamp, self.began.as_ref())
     }
 
     /// Keeps the folder from now on, even if it is not published.
@@ -78,16 +90,17 @@ impl Staging {
         &self.folder
     }
 
-    /// Makes the folder visible as `<device>/scans/<utc>-<name>` (with a number appended if that exists) and
+    /// Makes the folder visible as `<device>/scans/<utc>-<name>` (`undated-<name>` while the clock is not set; with a number appended if that exists) and
     /// returns its path.
     ///
     /// # Errors
     /// The device folder cannot be written.
     pub fn publish(mut self) -> Result<PathBuf, Failure> {
         sync(&self.folder)?;
+        let id = format!("{}-{}", self.stamp, self.name);
         for attempt in 1u32.. {
             let suffix = if attempt == 1 { String::new() } else { format!("-{attempt}") };
-            let target = self.scans.join(format!("{}{suffix}", self.id));
+            let target = self.scans.join(format!("{id}{suffix}"));
             // A rename onto a folder that is not empty fails, so no scan is ever replaced.
             match std::fs::rename(&self.folder, &target) {
                 Ok(()) => {
@@ -99,7 +112,7 @@ impl Staging {
                 Err(e) => return Err(cannot_write(&target, &e)),
             }
         }
-        Err(Failure::Internal(format!("{}: no free name for {}", self.scans.display(), self.id)))
+        Err(Failure::Internal(format!("{}: no free name for {id}", self.scans.display())))
     }
 }
 
@@ -116,7 +129,7 @@ fn cannot_write(path: &Path, e: &std::io::Error) -> Failure {
 }
 
 /// Removes staging folders whose process, named by its id, has ended.
-fn remove_abandoned(scans: &Path) {
+pub fn remove_abandoned(scans: &Path) {
     let Ok(entries) = std::fs::read_dir(scans) else { return };
     for entry in entries.flatten() {
         let name = entry.file_name();
@@ -141,7 +154,7 @@ mod tests {
         let staged: Vec<_> = (0..3)
             .map(|i| {
                 let mut s = Staging::create(device.path(), &format!("a{i}")).unwrap();
-                s.id = "same".into();
+                (s.stamp, s.name) = ("same".into(), "scan".into());
                 write_file(&s.folder().join("x"), b"x").unwrap();
                 s
             })
@@ -149,7 +162,7 @@ mod tests {
         for s in staged {
             paths.push(s.publish().unwrap());
         }
-        assert!(paths[2].ends_with("scans/same-3") && paths.iter().all(|p| p.join("x").exists()), "{paths:?}");
+        assert!(paths[2].ends_with("scans/same-scan-3") && paths.iter().all(|p| p.join("x").exists()), "{paths:?}");
     }
 
     #[test]

@@ -97,6 +97,12 @@ impl Service {
         &self.context.hub
     }
 
+    /// True while a job works on the scan of this id.
+    #[must_use]
+    pub fn works_on(&self, id: &str) -> bool {
+        self.context.jobs.works_on(id)
+    }
+
     /// The box is known by the serial number of its sensor from now on.
     pub fn set_serial(&self, serial: &str) {
         let Some(announcement) = &self.announcement else { return };

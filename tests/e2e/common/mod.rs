@@ -1,8 +1,9 @@
 //! What the end-to-end tests share: running the executable, and a small synthetic scan as a TUM folder.
 
 #![allow(dead_code, reason = "every test file uses a part of it")]
-#![allow(clippy::expect_used, reason = "these are tests")]
+#![allow(clippy::expect_used, clippy::unwrap_used, reason = "these are tests")]
 
+pub mod daemon;
 pub mod http;
 
 use assert_cmd::Command;
@@ -206,6 +207,20 @@ pub fn write_png(path: &Path, color: png::ColorType, bits: png::BitDepth, data: 
     encoder.set_depth(bits);
     let mut writer = encoder.write_header().expect("a header");
     writer.write_image_data(data).expect("a picture");
+}
+
+/// A library to preload, from a C source below `tests/`, built in `folder`.
+#[cfg(target_os = "linux")]
+pub fn preload(source: &str, folder: &Path) -> PathBuf {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests").join(source);
+    let library = folder.join(source.with_extension("so").file_name().expect("the name of a file"));
+    let built = std::process::Command::new(std::env::var("CC").unwrap_or("cc".into()))
+        .args(["-std=gnu11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", "-o", &arg(&library)])
+        .arg(source)
+        .args(["-lpthread", "-ldl"])
+        .status();
+    assert!(built.is_ok_and(|s| s.success()), "the C compiler that built libusb builds this");
+    library
 }
 
 /// The child process of `parent`, if it has one.
