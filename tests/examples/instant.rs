@@ -31,12 +31,13 @@ fn rows(lumiscan: &str, recording: &str, threads: Option<&str>) -> Outcome<Vec<(
     let device = tempfile::tempdir()?;
     let mut command = Command::new(lumiscan);
     command.args(["--json", "replay", recording, "--device"]).arg(device.path());
-    command.args(threads.iter().flat_map(|n| ["--threads", n]));
+    command.args(threads.iter().flat_map(|n| ["--threads", *n]));
     let output = command.stderr(Stdio::null()).output()?;
     if !output.status.success() {
         return Err(format!("{recording}: {}", output.status).into());
     }
-    let manifest = &serde_json::from_slice::<Value>(&output.stdout)?["manifest"];
+    let report: Value = serde_json::from_slice(&output.stdout)?;
+    let manifest = &report["manifest"];
     let (capture, estimator) = (&manifest["capture"], &manifest["estimator"]);
     let seconds = |of: &Value| serde_json::from_value::<Vec<(String, f64)>>(of["seconds"].clone());
     let mut rows = seconds(capture)?;
