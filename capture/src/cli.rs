@@ -150,7 +150,7 @@ pub struct Effort {
 #[derive(Debug, Args)]
 #[command(after_long_help = "\
 Publishes <device>/scans/<utc>-<name>/ with scan.lscan, result.lres, manifest.json, preview.png, viewer.html and trajectory.txt. The
-folder appears when it is complete; its path is the last line on stdout.
+folder appears when the result is complete, preview and viewer follow within seconds; then its path is the last line on stdout.
 
 Examples:
   lumiscan replay recordings/data/tabletop.lrec
@@ -274,6 +274,8 @@ pub enum ExportTo {
     Nerf,
     /// Of a result and its scan: a page that any browser opens, to view and relight it and to try settings.
     Html,
+    /// Of a result and its scan: the preview sheet, a PNG picture.
+    Preview,
     /// Of a recording: a TUM RGB-D folder, frame for frame.
     Tum,
 }
@@ -297,6 +299,9 @@ pub struct Export {
     /// File or folder to write; a folder must be new or empty.
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
+    /// End when the process with this id, the parent, ends.
+    #[arg(long, value_name = "ID", hide = true)]
+    pub parent: Option<u32>,
 }
 
 /// `lumiscan config`.

@@ -68,12 +68,11 @@ pub struct Files {
 }
 
 impl Files {
-    /// Those of a folder of the device folder.
+    /// Those of a folder of the device folder, where preview and viewer follow the result.
     #[must_use]
     pub fn of(folder: &Path) -> Self {
-        let [scan, result, preview, viewer] =
-            ["scan.lscan", "result.lres", "preview.png", "viewer.html"].map(|name| folder.join(name));
-        Self { scan, result, preview: Some(preview), viewer: Some(viewer) }
+        let [scan, result] = ["scan.lscan", "result.lres"].map(|name| folder.join(name));
+        Self { scan, result, preview: None, viewer: None }
     }
 }
 

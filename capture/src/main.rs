@@ -12,6 +12,7 @@ mod kinect;
 mod live_config;
 mod memory;
 mod orders;
+mod pages;
 mod pipeline;
 mod publish;
 mod report;

@@ -56,6 +56,8 @@ pub struct Captured {
     pub extraction: Duration,
     /// Time spent writing the scan after its last frame.
     pub writing: Duration,
+    /// When the last frame was fused.
+    pub last_frame: Instant,
 }
 
 /// A decoded frame, the up vector in camera axes, and the share of the source that has been played.
@@ -146,6 +148,7 @@ pub fn run(pairs: Pairs, job: &Job<'_>, stop: &Stop, reporter: &Reporter) -> Res
                 fusion: fused.fusion,
                 extraction: fused.extraction,
                 writing: Duration::ZERO,
+                last_frame: fused.last_frame,
             };
             usable(&captured, source_path)?;
             let _ = disk_out.send(ToDisk::Finish(tail));
@@ -260,6 +263,7 @@ struct Fused {
     trajectory: Vec<(TimestampNs, Pose)>,
     fusion: Duration,
     extraction: Duration,
+    last_frame: Instant,
 }
 
 fn fuse(
@@ -317,18 +321,18 @@ fn fuse(
         let detail = format!("{count} frames · {fps:.1} fps · {kept} frames kept · {} blocks", report.blocks_used);
         reporter.step(&Step { stage: "fusion".into(), fraction: Some(played), detail });
     }
+    let last_frame = Instant::now();
     if let Some(hub) = hub {
         hub.end();
     }
     stop.check()?;
-    let extract = Instant::now();
     if let Some(board) = board {
         board.enter(State::Finishing);
     }
     reporter.step(&Step { stage: "mesh".into(), fraction: None, detail: String::new() });
     let mut output = fusion.finish();
     let trajectory = std::mem::take(&mut output.trajectory);
-    Ok(Fused { output, trajectory, fusion: spent, extraction: extract.elapsed() })
+    Ok(Fused { output, trajectory, fusion: spent, extraction: last_frame.elapsed(), last_frame })
 }
 
 /// The end of the scan file, with the counters of fusion and of the source.

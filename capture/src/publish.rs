@@ -1,4 +1,5 @@
-//! From a captured scan to a published one: runs the estimator, writes the manifest, makes the folder visible.
+//! From a captured scan to a published one, in two steps: the folder becomes visible with the result and a manifest that lists both; preview and
+//! viewer follow, and count from the moment that the manifest lists them, too.
 
 use crate::cli::Effort;
 use crate::device_folder::files::write_file;
@@ -7,9 +8,11 @@ use crate::device_folder::staging::Staging;
 use crate::estimator_process::{self, Files};
 use crate::failure::Failure;
 use crate::memory;
+use crate::pages;
 use crate::pipeline::Captured;
 use crate::report::Reporter;
 use crate::stop::Stop;
+use estimator::Progress;
 use std::path::{Path, PathBuf};
 
 /// A published scan.
@@ -18,14 +21,14 @@ pub struct Published {
     pub folder: PathBuf,
     /// Its manifest.
     pub manifest: Manifest,
-    /// Why the estimator failed, if it did; the scan is published anyway.
+    /// Why the estimator or what follows it failed, if it did; the scan is published anyway.
     pub failure: Option<Failure>,
 }
 
 /// Estimates the scan in `staging` (unless there is no `effort` for it) and publishes the folder.
 ///
 /// # Errors
-/// The disk is full or gone, or a signal came; nothing is published then.
+/// The disk is full or gone, or a signal came: nothing is published then, or the result is and [`complete`] can do the rest.
 pub fn publish(
     mut staging: Staging,
     name: String,
@@ -45,10 +48,34 @@ pub fn publish(
     // The peak includes the result, which was read back.
     capture.memory_peak_bytes = memory::peak_bytes();
     let dates = staging.dates();
-    let manifest = Manifest::new(staging.folder(), name, dates, capture, estimator)?;
+    let mut manifest = Manifest::new(staging.folder(), name, dates, capture, estimator)?;
     write_file(&staging.folder().join(MANIFEST), manifest.to_json()?.as_bytes())?;
     let folder = staging.publish()?;
-    Ok(Published { folder, manifest, failure })
+    if !manifest.estimator.has_result() {
+        return Ok(Published { folder, manifest, failure });
+    }
+    reporter.stage("preview", 0.0);
+    let pages = pages::write(&folder, effort.and_then(|e| e.threads), stop, reporter);
+    stop.check()?;
+    if !folder.exists() {
+        tracing::info!("{} was removed or renamed before its preview was there", folder.display());
+        return Ok(Published { folder, manifest, failure });
+    }
+    let (seconds, problem) = pages.map_or_else(|e| (Vec::new(), Some(e)), |seconds| (seconds, None));
+    manifest.complete(&folder, seconds)?;
+    write_file(&folder.join(MANIFEST), manifest.to_json()?.as_bytes())?;
+    Ok(Published { folder, manifest, failure: failure.or(problem) })
+}
+
+/// Makes what follows the result of a published scan, where an earlier run ended before that.
+///
+/// # Errors
+/// The disk is full or gone, a signal came, or a page cannot be made.
+pub fn complete(folder: &Path, stop: &Stop, reporter: &Reporter) -> Result<(), Failure> {
+    let pages = pages::write(folder, None, stop, reporter);
+    stop.check()?;
+    manifest::complete_later(folder)?;
+    pages.map(drop)
 }
 
 /// Estimates a published scan again.
@@ -59,8 +86,10 @@ pub fn again(folder: &Path, effort: &Effort, stop: &Stop, reporter: &Reporter) -
     let ended = estimator_process::estimate(&Files::of(folder), effort, None, stop, reporter)?;
     match ended.failure {
         None | Some(Failure::Abandoned(_)) => {
+            let pages = pages::write(folder, effort.threads, stop, reporter);
             let text = manifest::updated(folder, folder, &ended.entry)?;
-            write_file(&folder.join(MANIFEST), text.as_bytes())
+            write_file(&folder.join(MANIFEST), text.as_bytes())?;
+            pages.map(drop)
         }
         Some(failure) => Err(failure),
     }
@@ -76,6 +105,7 @@ pub fn capture_entry(source: &Path, captured: Captured) -> CaptureEntry {
         keyframes: captured.keyframes,
         seconds: seconds.iter().map(|(name, d)| ((*name).to_owned(), d.as_secs_f64())).collect(),
         memory_peak_bytes: memory::peak_bytes(),
+        last_frame: Some(captured.last_frame),
         stats: captured.stats,
     }
 }

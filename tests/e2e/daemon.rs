@@ -211,6 +211,44 @@ fn publishing_survives_signals() {
     assert_eq!((scans(&device).len(), unfinished(&device).len()), (2, 0));
 }
 
+/// A replay is killed as soon as its result is visible: what is there is whole, and the next start of the daemon makes what follows it.
+#[test]
+fn what_follows_a_result_survives_a_power_cut() {
+    let dir = tempfile::tempdir().unwrap();
+    let (source, device) = (dir.path().join("table"), dir.path().join("device"));
+    common::tum_folder(&source, 24);
+    let mut replay = Command::new(lumiscan().get_program())
+        .args(["replay", &arg(&source), "--device", &arg(&device), "--rounds", "1"])
+        .args(["--set", "fusion.voxel_size_m=0.01"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    while scans(&device).is_empty() {
+        assert!(began.elapsed() < PATIENCE, "nothing is published");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    replay.kill().unwrap();
+    replay.wait().unwrap();
+    let scan = scans(&device).remove(0);
+    let listed = |m: &Value| -> Vec<String> {
+        m["files"].as_array().unwrap().iter().map(|f| f["name"].as_str().unwrap().to_owned()).collect()
+    };
+    let before = manifest(&device, &scan);
+    assert_eq!(listed(&before), ["result.lres", "scan.lscan", "trajectory.txt"]);
+    let after = before["after_last_frame_s"].as_object().unwrap();
+    assert!(after["result"].is_f64() && !after.contains_key("published"), "{after:?}");
+    ok(&["inspect", &arg(device.join("scans").join(&scan).join("result.lres"))]);
+
+    let mut d = Daemon::start(&device, "pattern,fast", &["--no-estimate"]);
+    d.wait_for("ready");
+    let finished = manifest(&device, &scan);
+    assert_eq!(listed(&finished), ["preview.png", "result.lres", "scan.lscan", "trajectory.txt", "viewer.html"]);
+    assert_eq!(finished["after_last_frame_s"]["result"], before["after_last_frame_s"]["result"]);
+    assert_eq!(finished["after_last_frame_s"].get("published"), Some(&Value::Null), "nobody knows when that was");
+}
+
 /// After a session with faults the daemon runs on, its counters report the faults, and the next scan is complete.
 #[test]
 fn the_scan_after_a_bad_one_is_good() {

@@ -55,6 +55,8 @@ fn a_published_scan_is_complete_and_says_what_is_in_it() {
         assert_eq!(file["crc32"], format!("{:08x}", crc32fast::hash(bytes)));
     }
     assert_eq!(manifest["estimator"]["outcome"], "done");
+    let after = |moment: &str| manifest["after_last_frame_s"][moment].as_f64().unwrap();
+    assert!(0.0 < after("result") && after("result") < after("published"), "{manifest}");
     assert!(!manifest["estimator"]["decisions"].as_array().unwrap().is_empty());
     for process in ["capture", "estimator"] {
         assert!(manifest[process]["memory_peak_bytes"].as_u64().unwrap() > 1 << 20, "{process}");
@@ -93,6 +95,9 @@ fn no_estimate_stops_before_the_estimator() {
     let folder = replay(&source, &device, &["--no-estimate"]);
     let found: Vec<String> = files(&folder).into_keys().collect();
     assert_eq!(found, ["manifest.json", "scan.lscan", "trajectory.txt"]);
+    let manifest: serde_json::Value = serde_json::from_slice(&files(&folder)["manifest.json"]).unwrap();
+    let after = manifest["after_last_frame_s"].as_object().unwrap();
+    assert!(after["published"].as_f64().unwrap() > 0.0 && !after.contains_key("result"), "{after:?}");
 
     // The same frames from a recording give the same trajectory, and the scan can be estimated later.
     let recording = dir.path().join("table.lrec");

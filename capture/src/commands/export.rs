@@ -1,9 +1,11 @@
 //! `lumiscan export`: results and recordings in forms that other programs read.
 
+use crate::child_process::end_with_parent;
 use crate::cli::{self, ExportTo};
 use crate::commands::files::{check_fresh, find_scan, into_fresh_folder};
 use crate::commands::output::check_parent;
 use crate::commands::output::print;
+use crate::device_folder::files::write_file;
 use crate::failure::Failure;
 use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;
@@ -13,6 +15,7 @@ use std::path::Path;
 
 /// Runs the command.
 pub fn run(args: &cli::Export) -> Result<(), Failure> {
+    end_with_parent(args.parent)?;
     let output = &args.output;
     let written = |e: std::io::Error| Failure::writing(output, e);
     match args.to {
@@ -47,12 +50,14 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
             let scan = find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
             estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
+        ExportTo::Preview => {
+            check_parent(output)?;
+            let (result, scan) = (Estimate::read(&args.file)?, scan_with_pictures(args)?);
+            let png = estimator::preview::sheet::sheet(&scan, &result).map_err(|e| Failure::writing(output, e))?;
+            write_file(output, &png)?;
+        }
         ExportTo::Colmap | ExportTo::Nerf => {
-            let result = Estimate::read(&args.file)?;
-            let path = find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
-                Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
-            })?;
-            let scan = Scan::read(&path)?;
+            let (result, scan) = (Estimate::read(&args.file)?, scan_with_pictures(args)?);
             let write = match args.to {
                 ExportTo::Colmap => estimator::export::cameras::write_colmap,
                 _ => estimator::export::cameras::write_nerf,
@@ -65,6 +70,14 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
     }
     print(&output.display().to_string())
+}
+
+/// The scan of a result, for its pictures.
+fn scan_with_pictures(args: &cli::Export) -> Result<Scan, Failure> {
+    let path = find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
+        Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
+    })?;
+    Ok(Scan::read(&path)?)
 }
 
 /// Seconds by stage from the manifest beside a published result; empty where there is none.

@@ -2,7 +2,7 @@
 
 use crate::cli::{Capture, Effort};
 use crate::device_folder::files::write_file;
-use crate::device_folder::manifest::CaptureEntry;
+use crate::device_folder::manifest::{self, CaptureEntry};
 use crate::device_folder::retention;
 use crate::device_folder::staging::{Staging, remove_abandoned};
 use crate::device_folder::undated;
@@ -288,12 +288,22 @@ impl Daemon<'_> {
                 keyframes: scan.keyframes.len(),
                 seconds: Vec::new(),
                 memory_peak_bytes: memory::peak_bytes(),
+                last_frame: None,
                 stats: scan.stats.clone(),
             };
             let name = scan.name.clone();
             drop(scan);
             remove_results(&folder);
             if let Err(e) = Staging::resume(&folder).and_then(|staging| self.publish(staging, name, entry)) {
+                self.board.error(&e.to_string());
+            }
+        }
+        for folder in retention::finished(device).into_iter().filter(|f| manifest::is_incomplete(f)) {
+            if self.stop.check().is_err() {
+                break;
+            }
+            tracing::info!("finishing {}", folder.display());
+            if let Err(e) = publish::complete(&folder, self.stop, self.reporter) {
                 self.board.error(&e.to_string());
             }
         }

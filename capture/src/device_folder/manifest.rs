@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::io::Read;
 use std::path::Path;
+use std::time::Instant;
 
 /// Name of the file.
 pub const MANIFEST: &str = "manifest.json";
@@ -30,12 +31,25 @@ pub struct Manifest {
     pub dates: Dates,
     /// Version of the program.
     pub lumiscan: &'static str,
+    /// How long it took.
+    pub after_last_frame_s: AfterLastFrame,
     /// Every other file of the folder.
     pub files: Vec<FileEntry>,
     /// The capture process.
     pub capture: CaptureEntry,
     /// The estimator process.
     pub estimator: EstimatorEntry,
+}
+
+/// Seconds of wall time from the last frame that was fused; `null` where a later run went on from the scan file.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AfterLastFrame {
+    /// To the folder with the result.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub result: Option<Option<f64>>,
+    /// To the folder with all its files; absent until they are there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub published: Option<Option<f64>>,
 }
 
 /// A file of the scan.
@@ -64,6 +78,9 @@ pub struct CaptureEntry {
     pub seconds: Vec<(String, f64)>,
     /// Peak resident memory.
     pub memory_peak_bytes: Option<u64>,
+    /// When its last frame was fused, if this process fused it.
+    #[serde(skip)]
+    pub last_frame: Option<Instant>,
 }
 
 /// How the estimator ended.
@@ -172,7 +189,25 @@ impl Manifest {
         estimator: EstimatorEntry,
     ) -> Result<Self, Failure> {
         let files = list(folder)?;
-        Ok(Self { format: FORMAT, name, dates, lumiscan: env!("CARGO_PKG_VERSION"), files, capture, estimator })
+        let after = capture.last_frame.map(|t| t.elapsed().as_secs_f64());
+        let after_last_frame_s = if estimator.has_result() {
+            AfterLastFrame { result: Some(after), published: None }
+        } else {
+            AfterLastFrame { result: None, published: Some(after) }
+        };
+        let lumiscan = env!("CARGO_PKG_VERSION");
+        Ok(Self { format: FORMAT, name, dates, lumiscan, after_last_frame_s, files, capture, estimator })
+    }
+
+    /// Takes over the files that followed the result, with the seconds that each took.
+    ///
+    /// # Errors
+    /// A file cannot be read back.
+    pub fn complete(&mut self, folder: &Path, seconds: Vec<(String, f64)>) -> Result<(), Failure> {
+        self.files = list(folder)?;
+        self.estimator.seconds.extend(seconds);
+        self.after_last_frame_s.published = Some(self.capture.last_frame.map(|t| t.elapsed().as_secs_f64()));
+        Ok(())
     }
 
     /// As JSON.
@@ -192,6 +227,24 @@ const MOST_BYTES: u64 = 4 << 20;
 pub fn read(folder: &Path) -> Option<Value> {
     let file = std::fs::File::open(folder.join(MANIFEST)).ok()?;
     serde_json::from_reader(file.take(MOST_BYTES)).ok()
+}
+
+/// True if the process that published the result ended before the files that follow it were there.
+#[must_use]
+pub fn is_incomplete(folder: &Path) -> bool {
+    let after = read(folder).map(|m| m["after_last_frame_s"].clone());
+    after.is_some_and(|a| a.as_object().is_some_and(|a| !a.contains_key("published")))
+}
+
+/// Takes over the files that followed the result in a later run.
+///
+/// # Errors
+/// A file cannot be read, or the disk is full or gone.
+pub fn complete_later(folder: &Path) -> Result<(), Failure> {
+    let files = serde_json::to_value(list(folder)?).map_err(|e| Failure::Internal(e.to_string()))?;
+    let mut after = read(folder).unwrap_or_default()["after_last_frame_s"].clone();
+    after["published"] = Value::Null;
+    change(folder, vec![("files", files), ("after_last_frame_s", after)])
 }
 
 /// Replaces fields of the manifest of a published scan.

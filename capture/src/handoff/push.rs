@@ -1,6 +1,7 @@
 //! Finished scans to the other machine.
 
 use crate::device_folder::handed_off::{self, HANDOFF};
+use crate::device_folder::manifest;
 use crate::device_folder::retention;
 use crate::failure::Failure;
 use crate::handoff::rsync::{Failed, rsync, run};
@@ -29,6 +30,11 @@ pub fn push(device: &Path, config: &HandoffConfig, stop: &Stop) -> Result<Pushed
     let mut is_reachable = true;
     for scan in retention::finished(device) {
         if handed_off::is_confirmed(device, &scan) {
+            continue;
+        }
+        if manifest::is_incomplete(&scan) {
+            // Its files change within seconds, or when the daemon starts again.
+            pushed.waiting += 1;
             continue;
         }
         stop.check()?;

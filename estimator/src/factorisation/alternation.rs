@@ -5,6 +5,7 @@ use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// Maximum number of turns.
 const MAX_TURNS: usize = 80;
@@ -45,16 +46,13 @@ impl Alternation {
         if total <= 0.0 {
             return;
         }
+        let mut sum = (DMatrix::zeros(k, k), DVector::zeros(k));
+        statistics.iter().zip(&self.albedo).for_each(|(s, a)| add(&mut sum, s, *a));
         for _ in 0..MAX_TURNS {
-            let mut gram = DMatrix::zeros(k, k);
-            let mut cross = DVector::zeros(k);
-            for (s, a) in statistics.iter().zip(&self.albedo) {
-                gram += &s.gram * (a * a);
-                cross += &s.cross * *a;
-            }
+            let (gram, cross) = &sum;
             // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
             let strength = regularisation * total / DIRECTIONS as f64;
-            non_negative(&gram, &cross, projection, (strength, tuning.min_observability), &mut self.radiance);
+            non_negative(gram, cross, projection, (strength, tuning.min_observability), &mut self.radiance);
             let mean = self.radiance.mean();
             if mean <= 0.0 || !mean.is_finite() {
                 self.radiance.fill(1.0);
@@ -64,6 +62,8 @@ impl Alternation {
             let light = self.light(projection);
             // Eq. (11), as a_u = Σ f E / Σ E².
             let mut moved = 0.0f64;
+            sum.0.fill(0.0);
+            sum.1.fill(0.0);
             for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
                 let predicted = light.dot(&(&s.gram * &light));
                 let explained = s.cross.dot(&light);
@@ -72,6 +72,8 @@ impl Alternation {
                     moved = moved.max(libm::log(new / *a).abs());
                     *a = new;
                 }
+                // For the next turn, while the segment's statistics are in the cache.
+                add(&mut sum, s, *a);
             }
             if moved < ALBEDO_TOLERANCE {
                 break;
@@ -81,13 +83,15 @@ impl Alternation {
 
     /// Runs with each regularisation weight and keeps the weakest that still lowers the held-out error. Returns the weight.
     pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
-        let mut best: Option<(f64, f64, Self)> = None;
-        for regularisation in REGULARISATIONS {
+        let tried = REGULARISATIONS.par_iter().map(|&regularisation| {
             let mut trial = self.clone();
             trial.run(&folds.fitted, projection, regularisation, tuning);
-            let error = trial.relative_square_error(&folds.held_out, projection);
-            if best.as_ref().is_none_or(|b| error < b.1 * (1.0 - tuning.regularisation_min_gain)) {
-                best = Some((regularisation, error, trial));
+            (regularisation, trial.relative_square_error(&folds.held_out, projection), trial)
+        });
+        let mut best: Option<(f64, f64, Self)> = None;
+        for trial in tried.collect::<Vec<_>>() {
+            if best.as_ref().is_none_or(|b| trial.1 < b.1 * (1.0 - tuning.regularisation_min_gain)) {
+                best = Some(trial);
             }
         }
         match best {
@@ -109,6 +113,13 @@ impl Alternation {
         }
         if size > 0.0 { error / size } else { 0.0 }
     }
+}
+
+/// Adds a segment with this albedo to Σ a² G and Σ a g.
+fn add((gram, cross): &mut (DMatrix<f64>, DVector<f64>), s: &Statistics, albedo: f64) {
+    let square = albedo * albedo;
+    gram.iter_mut().zip(&s.gram).for_each(|(sum, g)| *sum += g * square);
+    cross.iter_mut().zip(&s.cross).for_each(|(sum, g)| *sum += g * albedo);
 }
 
 /// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from the given r. The gradient is

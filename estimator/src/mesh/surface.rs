@@ -2,6 +2,7 @@
 
 use glam::Vec3;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 
 /// Passes over all short edges; a pass at least halves a fan of needles.
 const COLLAPSE_PASSES: usize = 8;
@@ -21,18 +22,23 @@ const BORDER_DEVIATION: f32 = 0.25;
 /// ... unless the border turns by less than the angle of this cosine there.
 const BORDER_COSINE: f32 = 0.8;
 
+/// The triangles of a vertex: rarely more than ten, which need no memory of their own.
+type Ring = SmallVec<[u32; 10]>;
+/// The far corners of a vertex's triangles, ascending: an inner neighbour stands twice, one on the border once.
+type Corners = SmallVec<[u32; 24]>;
+
 /// Every vertex keeps a list of its triangles, so neither orientation nor manifoldness is assumed.
 pub struct Surface {
     /// Vertex positions, `[vertex]`; vertices without triangles are unused.
     pub positions: Vec<Vec3>,
     triangles: Vec<Option<[u32; 3]>>,
-    rings: Vec<Vec<u32>>,
+    rings: Vec<Ring>,
 }
 
 impl Surface {
     /// Takes triangles with valid, distinct corners.
     pub fn new(positions: Vec<Vec3>, triangles: &[[u32; 3]]) -> Self {
-        let mut rings = vec![Vec::new(); positions.len()];
+        let mut rings = vec![Ring::new(); positions.len()];
         for (t, corners) in triangles.iter().enumerate() {
             for &c in corners {
                 rings[c as usize].push(t as u32);
@@ -69,7 +75,7 @@ impl Surface {
     fn split(&mut self, a: u32, b: u32) {
         let middle = self.positions.len() as u32;
         self.positions.push(0.5 * (self.positions[a as usize] + self.positions[b as usize]));
-        self.rings.push(Vec::new());
+        self.rings.push(Ring::new());
         for t in self.shared(a, b) {
             let Some(corners) = self.triangles[t as usize] else { continue };
             let new = self.triangles.len() as u32;
@@ -141,13 +147,14 @@ impl Surface {
 
     fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
         let shared = self.shared(a, b);
-        let (on_a, on_b) = (self.on_border(a), self.on_border(b));
-        // An edge of three triangles, or two borders that would be pinched together.
-        if shared.is_empty() || shared.len() > 2 || (on_a && on_b && shared.len() == 2) {
+        // An edge of three triangles.
+        if shared.is_empty() || shared.len() > 2 {
             return false;
         }
-        let (na, nb) = (self.neighbours(a), self.neighbours(b));
-        if na.iter().filter(|n| nb.binary_search(n).is_ok()).count() != shared.len() {
+        let (mut na, mut nb) = (self.corners(a), self.corners(b));
+        let (on_a, on_b) = (is_open(&na), is_open(&nb));
+        // Two borders that would be pinched together.
+        if on_a && on_b && shared.len() == 2 {
             return false;
         }
         let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
@@ -157,11 +164,13 @@ impl Surface {
             (false, true) => pb,
             _ => 0.5 * (pa + pb),
         };
-        if on_a && on_b && !(self.border_is_straight(a, b, longest) && self.border_is_straight(b, a, longest)) {
+        na.dedup();
+        nb.dedup();
+        let far = |n: &[u32]| n.iter().any(|&k| self.positions[k as usize].distance(target) > longest);
+        if far(&na) || far(&nb) || in_both(&na, &nb) != shared.len() {
             return false;
         }
-        let far = |n: &[u32]| n.iter().any(|&k| self.positions[k as usize].distance(target) > longest);
-        if far(&na) || far(&nb) {
+        if on_a && on_b && !(self.border_is_straight(a, b, longest) && self.border_is_straight(b, a, longest)) {
             return false;
         }
         for &(v, other) in &[(a, b), (b, a)] {
@@ -194,7 +203,7 @@ impl Surface {
     fn remove(&mut self, t: u32) {
         if let Some(corners) = self.triangles[t as usize].take() {
             for c in corners {
-                self.rings[c as usize].retain(|&r| r != t);
+                self.rings[c as usize].retain(|r| *r != t);
             }
         }
     }
@@ -235,8 +244,8 @@ impl Surface {
         }
         self.triangles[s as usize] = Some([a, d, c]);
         self.triangles[t as usize] = Some([d, b, c]);
-        self.rings[b as usize].retain(|&r| r != s);
-        self.rings[a as usize].retain(|&r| r != t);
+        self.rings[b as usize].retain(|r| *r != s);
+        self.rings[a as usize].retain(|r| *r != t);
         self.rings[d as usize].push(s);
         self.rings[c as usize].push(t);
         true
@@ -282,7 +291,7 @@ impl Surface {
     }
 
     /// Triangles on an edge.
-    fn shared(&self, a: u32, b: u32) -> Vec<u32> {
+    fn shared(&self, a: u32, b: u32) -> SmallVec<[u32; 4]> {
         let has = |t: &u32| self.triangles[*t as usize].is_some_and(|c| c.contains(&b));
         self.rings[a as usize].iter().copied().filter(has).collect()
     }
@@ -295,23 +304,24 @@ impl Surface {
         found.next().is_none().then_some(pair)
     }
 
+    /// Far corners of a vertex's triangles, ascending.
+    fn corners(&self, a: u32) -> Corners {
+        let of_triangles = self.rings[a as usize].iter().filter_map(|&t| self.triangles[t as usize]).flatten();
+        let mut corners: Corners = of_triangles.filter(|&c| c != a).collect();
+        corners.sort_unstable();
+        corners
+    }
+
     /// Neighbours of a vertex, ascending.
-    fn neighbours(&self, a: u32) -> Vec<u32> {
-        let corners = self.rings[a as usize].iter().filter_map(|&t| self.triangles[t as usize]).flatten();
-        let mut out: Vec<u32> = corners.filter(|&c| c != a).collect();
-        out.sort_unstable();
-        out.dedup();
-        out
+    fn neighbours(&self, a: u32) -> Corners {
+        let mut corners = self.corners(a);
+        corners.dedup();
+        corners
     }
 
     /// True if the vertex's triangles do not form a closed fan.
     fn on_border(&self, a: u32) -> bool {
-        let ring = &self.rings[a as usize];
-        let mut corners: Vec<u32> =
-            ring.iter().filter_map(|&t| self.triangles[t as usize]).flatten().filter(|&c| c != a).collect();
-        corners.sort_unstable();
-        !corners.chunks(2).all(|p| p.len() == 2 && p[0] == p[1])
-            || corners.chunks(2).collect::<Vec<_>>().windows(2).any(|w| w[0][0] == w[1][0])
+        is_open(&self.corners(a))
     }
 
     /// True if removing `b` from the border that continues from `a` cuts off no significant corner.
@@ -325,6 +335,16 @@ impl Surface {
                 || (pb - pa).normalize_or_zero().dot((pn - pb).normalize_or_zero()) > BORDER_COSINE
         })
     }
+}
+
+/// True if not every one of a vertex's ascending far corners stands exactly twice.
+fn is_open(corners: &[u32]) -> bool {
+    corners.chunk_by(|a, b| a == b).any(|same| same.len() != 2)
+}
+
+/// Number of values in both ascending lists.
+fn in_both(a: &[u32], b: &[u32]) -> usize {
+    a.iter().filter(|n| b.contains(n)).count()
 }
 
 fn normal([a, b, c]: [Vec3; 3]) -> Vec3 {
