@@ -8,7 +8,7 @@ use crate::render::objects::gltf::document;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
 use crate::render::objects::ply;
-use crate::render::objects::support::standing_point;
+use crate::render::objects::support::{own_up, standing_point};
 use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
@@ -105,8 +105,8 @@ pub fn load(
     if is_scan || !matches!(insert.place, Place::Position(_)) {
         object.place(-foot, 0.0, 1.0);
     }
-    let position = match insert.place {
-        Place::Position(p) => p,
+    let (position, up) = match insert.place {
+        Place::Position(p) => (p, Vec3::Z),
         Place::Pixel(..) | Place::Middle => {
             let radius = (high - low).truncate().min_element() / 2.0 * insert.scale;
             let (w, h) = view.size();
@@ -118,14 +118,17 @@ pub fn load(
                 return Err(RenderError::Request(format!("pixel {x},{y} is not in the view, which has {w}x{h}")));
             }
             let ray = (view.world_from_camera.translation.as_vec3(), view.ray(x, y));
-            standing_point(mesh, scene, ray, radius).ok_or_else(|| {
+            let up = own_up(mesh);
+            let found = standing_point(mesh, scene, up, ray, radius).ok_or_else(|| {
                 RenderError::Request(format!(
                     "the view shows no surface at pixel {x},{y} to put the object on; name another: OBJECT@pixel:X,Y"
                 ))
-            })?
+            })?;
+            (found, up)
         }
     };
-    object.place(position, insert.yaw_deg.to_radians(), insert.scale);
+    object.place(Vec3::ZERO, insert.yaw_deg.to_radians(), insert.scale);
+    object.stand(position, up);
     let odd =
         placement_warnings(&object, mesh, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
     Ok((object, odd))
