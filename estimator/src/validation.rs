@@ -7,7 +7,7 @@ use crate::association::pose;
 use crate::association::sampling::colors_of_image;
 use crate::association::veil::Veil;
 use crate::association::{AssociationContext, RefinedView};
-use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
+use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
 use crate::texture::detail::Detail;
@@ -168,36 +168,20 @@ fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, 
     let mesh = context.mesh;
     let points = camera.points(mesh);
     let center = camera.camera_from_world.inverse().translation;
-    let samples = context.config.tuning.validation.supersampling as usize;
-    let fine = scaled(&picture.camera, samples as f64);
-    let raster = Raster::new(&points, &mesh.triangles, &fine, context.near);
+    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
     let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
     let rows: Vec<usize> = (0..height).step_by(stride).collect();
     let pixel = |(x, y): (usize, usize)| {
+        let triangle = raster.triangle[y * width + x];
         // Beyond the lens there is no picture.
-        distorted(lens, x, y)?;
-        let (mut lit, mut modelled, mut count) = (DVec3::ZERO, DVec3::ZERO, 0);
-        for (x, y) in (0..samples * samples).map(|i| (x * samples + i % samples, y * samples + i / samples)) {
-            let triangle = raster.triangle[y * width * samples + x];
-            if triangle == MISS {
-                continue;
-            }
-            let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
-            let shaded = shade(model, triangle, raster.weights(x, y, corners), center);
-            if let Some([l, m]) = shaded {
-                lit += DVec3::from_array(l);
-                modelled += DVec3::from_array(m);
-                count += 1;
-            }
-        }
-        // At least half of the pixel.
-        if 2 * count < samples * samples {
+        if triangle == MISS || distorted(lens, x, y).is_none() {
             return None;
         }
-        let [lit, modelled] = [lit, modelled].map(|c| (c / count as f64).to_array());
+        let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
+        let weights = raster.weights(x, y, corners);
         let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
         let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
-        Some([seen, lit, modelled, veil])
+        shade(model, triangle, weights, center).map(|[lit, modelled]| [seen, lit, modelled, veil])
     };
     rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
 }

@@ -4,16 +4,19 @@ use crate::association::AssociationContext;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
 use crate::texture::texels::blend;
 use crate::texture::views::{TextureView, ViewSample};
+use firmware_config::Switch;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Moves the views to where they fit each other best; returns the RMS motion in pixels over all views and rounds.
+/// Nothing moves where poses are not to be refined.
 pub fn register_views(context: &AssociationContext, views: &mut [TextureView], atlas: &Atlas) -> f64 {
     let tuning = &context.config.tuning.registration;
+    let rounds = if context.config.refine_poses == Switch::Off { 0 } else { tuning.rounds };
     let power = context.config.tuning.texture.weight_power as f32;
     let points = points(context, atlas, tuning.points as usize);
     let mut squares = 0.0;
-    for _ in 0..tuning.rounds {
+    for _ in 0..rounds {
         let seen: Vec<Vec<(usize, ViewSample)>> = points
             .par_iter()
             .map(|&(p, n)| {

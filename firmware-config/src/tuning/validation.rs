@@ -9,7 +9,5 @@ section! {
         pixel_stride: u32 = 2, [1..=64], "px", "";
         /// Rounds of gain and pose refinement.
         rounds: u32 = 2, [1..=50], "rounds", "";
-        /// Samples along each side of a pixel that is predicted: pixels on outlines show both sides.
-        supersampling: u32 = 1, [1..=8], "samples", "";
     }
 }
