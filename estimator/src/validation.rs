@@ -2,6 +2,7 @@
 //! view.
 
 use crate::association::keyframe_image::{KeyframeImage, distorted};
+use crate::association::moving_camera::MovingCamera;
 use crate::association::pose;
 use crate::association::sampling::colors_of_image;
 use crate::association::veil::Veil;
@@ -10,6 +11,7 @@ use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
 use crate::texture::detail::Detail;
+use crate::texture::registration::{Expected, register};
 use crate::texture::sharpness::OctaveEnergy;
 use firmware_config::{EstimatorConfig, Switch};
 use glam::{DVec2, DVec3, Vec3};
@@ -72,29 +74,38 @@ pub fn compare(
     let stride = config.tuning.validation.pixel_stride as usize;
     let veil = Veil::of(&picture, &frame.camera, &context.table);
     let image = ValidationImage { picture: &picture, lens: &frame.camera, veil: &veil, stride };
-    let seen = |model: &Model, pose: &Pose| pixels(model, context, &image, pose);
-    let first = seen(model, &tracked);
+    let still = |pose: &Pose| MovingCamera::still(pose, &picture.camera);
+    let seen = |model: &Model, camera: &MovingCamera| pixels(model, context, &image, camera);
+    let first = seen(model, &still(&tracked));
     let mut view = RefinedView { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
-    let mut found = first.clone();
+    let (mut found, mut camera) = (first.clone(), still(&tracked));
     if config.refine_poses != Switch::Off {
         for _ in 0..config.tuning.validation.rounds {
             view.world_from_camera = pose::located(context, &picture, model.lit_color, model.lit_weight, &view);
-            found = seen(model, &view.world_from_camera);
+            camera = still(&view.world_from_camera);
+            found = seen(model, &camera);
             view.gain = gains(&found, 1);
         }
+        for _ in 0..config.tuning.registration.rounds {
+            let expected = expected(model, context, &image, &camera, view.gain);
+            camera = register(context, &picture, camera, &expected).camera;
+            found = seen(model, &camera);
+            view.gain = gains(&found, 1);
+        }
+        view.world_from_camera = camera.camera_from_world.inverse();
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
     let own = seen(
         &Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model },
-        &view.world_from_camera,
+        &camera,
     );
     let texture = model.detail.map(|_| {
-        let (pose, vertices) = (&view.world_from_camera, Model { detail: None, ..*model });
+        let vertices = Model { detail: None, ..*model };
         TexturePrediction {
-            vertices_psnr_db: psnr(&seen(&vertices, pose), 1),
+            vertices_psnr_db: psnr(&seen(&vertices, &camera), 1),
             psnr_db: psnr(&found, 1),
-            vertices_sharpness: sharpness(&vertices, context, &image, &view),
-            sharpness: sharpness(model, context, &image, &view),
+            vertices_sharpness: sharpness(&vertices, context, &image, &camera, view.gain),
+            sharpness: sharpness(model, context, &image, &camera, view.gain),
         }
     });
     let compared = (picture.camera.width as usize).div_ceil(stride) * (picture.camera.height as usize).div_ceil(stride);
@@ -152,10 +163,11 @@ struct ValidationImage<'a> {
 }
 
 /// Observed and predicted colours of the pixels that are compared.
-fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, pose: &Pose) -> Vec<Pixel> {
+fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, camera: &MovingCamera) -> Vec<Pixel> {
     let &ValidationImage { picture, lens, veil, stride } = image;
     let mesh = context.mesh;
-    let points = camera_positions(mesh, pose);
+    let points = camera.points(mesh);
+    let center = camera.camera_from_world.inverse().translation;
     let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
     let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
     let rows: Vec<usize> = (0..height).step_by(stride).collect();
@@ -169,15 +181,52 @@ fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, 
         let weights = raster.weights(x, y, corners);
         let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
         let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
-        shade(model, triangle, weights, pose.translation).map(|[lit, modelled]| [seen, lit, modelled, veil])
+        shade(model, triangle, weights, center).map(|[lit, modelled]| [seen, lit, modelled, veil])
     };
     rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
 }
 
+/// The lit colours that the picture should have at the surface points that it shows.
+fn expected(
+    model: &Model,
+    context: &AssociationContext,
+    image: &ValidationImage,
+    camera: &MovingCamera,
+    gain: [f64; 3],
+) -> Vec<Expected> {
+    let (mesh, points) = (context.mesh, camera.points(context.mesh));
+    let raster = Raster::new(&points, &mesh.triangles, &image.picture.camera, context.near);
+    let (width, height) = (image.picture.camera.width as usize, image.picture.camera.height as usize);
+    let center = camera.camera_from_world.inverse().translation;
+    let step = ((width * height) as f64 / f64::from(context.config.tuning.registration.points)).sqrt().ceil() as usize;
+    let gain = DVec3::from_array(gain).as_vec3();
+    let at = |(x, y): (usize, usize)| {
+        let triangle = raster.triangle[y * width + x];
+        if triangle == MISS || distorted(image.lens, x, y).is_none() {
+            return None;
+        }
+        let corners = mesh.triangles[triangle as usize].map(|i| i as usize);
+        let weights = raster.weights(x, y, corners.map(|i| points[i]));
+        let [lit, _] = shade(model, triangle, weights, center)?;
+        let point = corners.iter().zip(weights).map(|(&i, w)| mesh.positions[i] * w).sum();
+        let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
+        Some(Expected { point, color: (DVec3::from_array(lit).as_vec3() * gain + veil).max(Vec3::ZERO) })
+    };
+    let rows = (0..height).step_by(step.max(1));
+    rows.flat_map(|y| (0..width).step_by(step.max(1)).map(move |x| (x, y))).filter_map(at).collect()
+}
+
 /// Energy of the upper octave of the lit colours, rendered, over that of the picture, in blocks on one smooth surface.
-fn sharpness(model: &Model, context: &AssociationContext, image: &ValidationImage, view: &RefinedView) -> f64 {
+fn sharpness(
+    model: &Model,
+    context: &AssociationContext,
+    image: &ValidationImage,
+    camera: &MovingCamera,
+    gain: [f64; 3],
+) -> f64 {
     let (picture, mesh) = (image.picture, context.mesh);
-    let points = camera_positions(mesh, &view.world_from_camera);
+    let points = camera.points(mesh);
+    let center = camera.camera_from_world.inverse().translation;
     let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
     let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
     let block = |x: usize, y: usize| {
@@ -196,11 +245,11 @@ fn sharpness(model: &Model, context: &AssociationContext, image: &ValidationImag
             }
             let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
             let weights = raster.weights(x, y, corners);
-            let [lit, _] = shade(model, triangle, weights, view.world_from_camera.translation)?;
+            let [lit, _] = shade(model, triangle, weights, center)?;
             // Photon noise and contrast are alike at all levels in square roots of light.
             observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
             let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
-            rendered[i] = f64::sqrt((0..3).map(|c| (view.gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
+            rendered[i] = f64::sqrt((0..3).map(|c| (gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
         }
         (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
     };

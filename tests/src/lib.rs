@@ -16,6 +16,7 @@ pub mod evaluation;
 pub mod lamp_desk;
 pub mod metrics;
 pub mod scans;
+pub mod seams;
 pub mod synth;
 pub mod truth;
 

@@ -23,7 +23,7 @@ Keyframe pictures come from the scan. Options combine freely; --insert and --rem
 --over photo, pixels that the change does not touch stay the photo's, bit for bit.
 
 Examples:
-  lumiscan render result.lres --view keyframe:4 --over photo --insert knot.glb@0.2,-0.1,0 -o out.png
+  lumiscan render result.lres --view keyframe:4 --over photo --insert knot.glb@pixel:470,300 -o out.png
   lumiscan render result.lres --view keyframe:4 --over photo --remove box:0.1,0,0.001,0.3,0.2,0.1 -o out.png
   lumiscan render result.lres --view keyframe:0 --light panoramas/ -o frames/
   lumiscan render result.lres --view keyframe:0 --over photo --lamp 0=@0.2,0.1,0.5 --lamp 1=off -o moved.png
@@ -50,7 +50,9 @@ pub struct Render {
     /// Put the change over the keyframe's own picture.
     #[arg(long)]
     pub over: Option<Over>,
-    /// OBJECT[@x,y,z[,yaw_deg[,scale]]]: glTF, PLY, or other.lres[#segment=4,7].
+    /// OBJECT[@x,y,z[,yaw_deg[,scale]]] or OBJECT@pixel:X,Y[,yaw_deg[,scale]]: glTF, PLY, or other.lres[#segment=4,7].
+    ///
+    /// With a pixel of the first view, and without a place (the middle of the view), it stands on the surface that shows there.
     #[arg(long, value_name = "OBJECT")]
     pub insert: Vec<Insert>,
     /// segment:N: what is inserted gets the material of this segment.

@@ -242,7 +242,7 @@ impl Problem<'_> {
 }
 
 /// Derivatives of (u, v) by a [`Motion`] of the point q in the camera's frame.
-fn jacobian(q: DVec3, k: &Intrinsics) -> (Motion, Motion) {
+pub fn jacobian(q: DVec3, k: &Intrinsics) -> (Motion, Motion) {
     let (fx, fy) = (k.fx, k.fy);
     let (x, y, z) = (q.x / q.z, q.y / q.z, 1.0 / q.z);
     (
@@ -252,7 +252,7 @@ fn jacobian(q: DVec3, k: &Intrinsics) -> (Motion, Motion) {
 }
 
 /// Mean Tukey loss, 0 to 1; pixels without a residual have the full loss, so that leaving the image is no gain.
-fn tukey_cost(residuals: &[f32], scale: f64) -> f64 {
+pub fn tukey_cost(residuals: &[f32], scale: f64) -> f64 {
     let loss = |&r: &f32| {
         let x = f64::from(r) / (scale * TUKEY);
         if x < 1.0 { 1.0 - (1.0 - x * x) * (1.0 - x * x) * (1.0 - x * x) } else { 1.0 }

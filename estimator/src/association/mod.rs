@@ -16,6 +16,7 @@ pub mod image_filters;
 pub mod keyframe_image;
 pub mod light_field;
 pub mod lit_color;
+pub mod moving_camera;
 pub mod observations;
 pub mod pose;
 pub mod predicted_image;

@@ -2,7 +2,8 @@
 
 use crate::mesh::graph::Graph;
 use crate::numerics::random::hash;
-use crate::render::before_after_scene::{BeforeAfterScene, Body, Side};
+use crate::rays::Hit;
+use crate::render::before_after_scene::{BeforeAfterScene, Body, Part, Side};
 use crate::render::bounding_sphere::BoundingSphere;
 use crate::render::inpainting::geometry::Cut;
 use crate::render::inpainting::membrane::inpaint;
@@ -12,6 +13,7 @@ use crate::render::lighting::local_sources::LocalSources;
 use crate::render::lighting::observed_background::ObservedBackground;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
+use crate::render::surface_detail::SurfaceDetail;
 use firmware_config::RealityConfig;
 use firmware_config::tuning::CompositingTuning;
 use glam::Vec3;
@@ -33,9 +35,17 @@ pub struct Changed {
     pub filled: Vec<bool>,
     /// Background beyond the scan.
     pub background: ObservedBackground,
+    /// The texture of the scan, if it has one.
+    pub detail: Option<SurfaceDetail>,
 }
 
 impl Changed {
+    /// Factor from the colour of the vertices to that of the texture at a hit on this part of the scan.
+    #[must_use]
+    pub fn detail(&self, body: &Body, part: Part, hit: &Hit) -> Vec3 {
+        self.detail.as_ref().map_or(Vec3::ONE, |d| d.ratio(body, part, hit))
+    }
+
     /// Radiance from beyond the scan: the observed background, otherwise the light.
     #[must_use]
     pub fn beyond(&self, direction: Vec3) -> Vec3 {
@@ -76,7 +86,8 @@ pub fn change(
 ) -> Changed {
     let tuning = &config.tuning.compositing;
     let whole = scanned(estimate, config);
-    let Cut { kept, first_patch, removed, removed_from } = cut;
+    let detail = SurfaceDetail::new(estimate, &cut);
+    let Cut { kept, first_patch, removed, removed_from, .. } = cut;
     let graph = Graph::of(&kept);
 
     let mut radiance = estimate.lit_color.clone();
@@ -115,7 +126,9 @@ pub fn change(
         Body::new(all, dark)
     });
     let scene = BeforeAfterScene { kept, removed, inserted, changes, environment, local };
-    Changed { background, ..light(scene, &seen, first_patch, &graph, config) }
+    let (lit, copied) = light(scene, &seen, first_patch, &graph, config);
+    let detail = detail.map(|d| d.continued(lit.filled.clone(), copied));
+    Changed { background, detail, ..lit }
 }
 
 /// A ball around every connected piece: a cone towards each wastes no ray on what is between them.
@@ -136,14 +149,14 @@ fn pieces(mesh: &recordings::types::Mesh) -> Vec<BoundingSphere> {
     }
 }
 
-/// Computes the light on both sides.
+/// Computes the light on both sides; also returns where filled vertices were copied from.
 fn light(
     mut scene: BeforeAfterScene,
     seen: &[bool],
     first_patch: usize,
     graph: &Graph,
     config: &RealityConfig,
-) -> Changed {
+) -> (Changed, Vec<Option<Vec3>>) {
     let n = scene.kept.object.mesh.positions.len();
     let seed = config.seed;
     let tuning = &config.tuning.compositing;
@@ -188,9 +201,11 @@ fn light(
     let asked: Vec<bool> = (0..n).map(|v| known[v] && reached[v]).collect();
     // Reflectance is albedo with continued texture, times a slowly varying level that many vertices determine.
     let mut albedo = scene.kept.object.color.clone();
+    let mut copied = vec![None; n];
     if removed {
         let edge = scene.kept.bvh.median_edge();
-        continue_texture(&mut albedo, &known, &scene.kept.object.mesh, graph, edge, &config.tuning.inpainting);
+        let mesh = &scene.kept.object.mesh;
+        copied = continue_texture(&mut albedo, &known, mesh, graph, edge, &config.tuning.inpainting);
     }
     let mut level: Vec<Vec3> = (0..n)
         .map(|v| {
@@ -223,7 +238,8 @@ fn light(
         .collect();
     scene.kept.after = after;
     light_inserted(&mut scene, config, 2);
-    Changed { scene, irradiance, reflectance, reached, filled, background: ObservedBackground::default() }
+    let background = ObservedBackground::default();
+    (Changed { scene, irradiance, reflectance, reached, filled, background, detail: None }, copied)
 }
 
 /// Rays, of `most`, that give a change of this reach the same absolute error as `most` give a large one.

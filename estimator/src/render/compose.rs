@@ -7,7 +7,7 @@
 
 use crate::numerics::random::hash;
 use crate::rays::Hit;
-use crate::render::before_after_scene::{Body, Side, SurfacePoint};
+use crate::render::before_after_scene::{Body, Part, Side, SurfacePoint};
 use crate::render::change::{Changed, ratio, rays};
 use crate::render::objects::object::interpolate;
 use crate::render::sampling::point;
@@ -16,6 +16,9 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use recordings::types::{CameraModel, Pose};
 use std::f32::consts::TAU;
+
+/// Largest factor of the texture where something was removed.
+const MOST_UNCOVERED: f32 = 1.5;
 
 /// A camera with a pose.
 #[derive(Debug, Clone, PartialEq)]
@@ -91,9 +94,10 @@ fn surface(changed: &Changed, eye: Vec3, d: Vec3, side: Side, seed: u32, gloss_r
     }
     match scene.meet(eye, d, side) {
         RayTarget::Beyond => changed.beyond(d),
-        RayTarget::Body(body, hit, _) => {
+        RayTarget::Body(body, hit, part) => {
             let t = body.object.mesh.triangles[hit.triangle as usize];
             let light = interpolate(if side == Side::After { &body.after } else { &body.radiance }, t, &hit);
+            let light = light * changed.detail(body, part, &hit);
             let brdf = body.object.brdf(&hit);
             if brdf.is_diffuse() {
                 return light;
@@ -150,7 +154,10 @@ pub fn compose(changed: &Changed, view: &Viewpoint, base: &[Vec3], config: &Real
                 let behind = match &ground[i].kept {
                     Some((hit, _)) => {
                         let t = scene.kept.object.mesh.triangles[hit.triangle as usize];
-                        interpolate(&changed.reflectance, t, hit) * light.irradiance[i]
+                        // Texels beside what was removed may show it.
+                        let (least, most) = (Vec3::splat(1.0 / MOST_UNCOVERED), Vec3::splat(MOST_UNCOVERED));
+                        let detail = changed.detail(&scene.kept, Part::Kept, hit).clamp(least, most);
+                        interpolate(&changed.reflectance, t, hit) * detail * light.irradiance[i]
                     }
                     None => changed.beyond(view.ray((i % width) as f32, (i / width) as f32)),
                 };
@@ -318,15 +325,24 @@ fn inserted_radiance(changed: &Changed, view: &Viewpoint, i: usize, config: &Rea
         cover += 1;
         let brdf = body.object.brdf(&hit);
         let spot = body.surface_point(view.eye(), d, &hit);
+        let mut sample = Vec3::ZERO;
         if brdf.diffuse != Vec3::ZERO {
-            color += brdf.diffuse * changed.scene.gather(&spot, Side::After, rays, s * rays, seed);
+            sample += brdf.diffuse * changed.scene.gather(&spot, Side::After, rays, s * rays, seed);
         }
         if !brdf.is_diffuse() {
-            color += changed.scene.reflected(&spot, &brdf, d, Side::After, 0, seed, rays, s * rays);
+            sample += changed.scene.reflected(&spot, &brdf, d, Side::After, 0, seed, rays, s * rays);
         }
+        color += recordable(sample, view.gain, config.tuning.compositing.brightest as f32);
     }
     let n = config.pixel_samples as f32;
     (color / n, cover as f32 / n)
+}
+
+/// Light that a camera with `gain` can record, at most `brightest` times white: at the rim of a mirror the whole scene shrinks to
+/// less than a pixel, and one of its samples that meets a lamp, or the light behind a gap of the scan, would make all of it white.
+fn recordable(sample: Vec3, gain: Vec3, brightest: f32) -> Vec3 {
+    let most = (sample * gain).max_element();
+    if most > brightest { sample * (brightest / most) } else { sample }
 }
 
 /// The hit of a view ray on an inserted object that no kept surface and no lamp hides.
@@ -347,4 +363,76 @@ fn near(changed: &Changed, view: &Viewpoint, p: Vec2) -> bool {
         to.length_squared() <= radius * radius
             || (along > 0.0 && to.length_squared() - along * along <= radius * radius)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::testing::tiny;
+    use crate::numerics::sh::even_directions;
+    use crate::render::change::change;
+    use crate::render::inpainting::geometry::cut;
+    use crate::render::lighting::environment::Environment;
+    use crate::render::lighting::observed_background::ObservedBackground;
+    use crate::render::objects::material::Material;
+    use crate::render::objects::object::Object;
+    use glam::{DQuat, DVec3};
+    use recordings::types::{Distortion, Intrinsics, Mesh};
+
+    /// A mirror ball of radius 0.15 m, 0.3 m above the origin.
+    fn mirror_ball() -> Object {
+        const ROWS: u32 = 24;
+        const COLUMNS: u32 = 48;
+        let normal = |i: u32| {
+            let (st, ct) = libm::sincosf(std::f32::consts::PI * (i / COLUMNS) as f32 / ROWS as f32);
+            let (sp, cp) = libm::sincosf(TAU * (i % COLUMNS) as f32 / COLUMNS as f32);
+            Vec3::new(st * cp, st * sp, ct)
+        };
+        let normals: Vec<Vec3> = (0..(ROWS + 1) * COLUMNS).map(normal).collect();
+        let quad = |i: u32| {
+            let right = i - i % COLUMNS + (i + 1) % COLUMNS;
+            [[i, i + COLUMNS, right], [right, i + COLUMNS, right + COLUMNS]]
+        };
+        let positions = normals.iter().map(|n| *n * 0.15 + Vec3::Z * 0.3).collect();
+        let mesh = Mesh { positions, normals, triangles: (0..ROWS * COLUMNS).flat_map(quad).collect() };
+        let material = vec![0; mesh.triangles.len()];
+        let mirror = Material { metallic: 1.0, roughness: 0.0, specular: 1.0, ..Material::default() };
+        Object { mesh, material, materials: vec![mirror], ..Object::default() }
+    }
+
+    /// White pixels whose neighbours are all darker than mid-grey.
+    fn specks(config: &RealityConfig) -> usize {
+        let mut estimate = tiny();
+        estimate.keyframes.clear();
+        // Lamps of a third of a degree all around: a mirror shows each in less than a pixel.
+        let lamps: Vec<Vec3> = even_directions(150).iter().map(|d| d.as_vec3()).collect();
+        let light =
+            Environment::from_fn(|d| Vec3::splat(if lamps.iter().any(|l| l.dot(d) > 0.99998) { 900.0 } else { 0.2 }));
+        let whole = cut(&estimate.mesh, &[false; 3], &config.tuning.inpainting);
+        let changed = change(&estimate, (light, ObservedBackground::default()), whole, &[mirror_ball()], config);
+        let intrinsics = Intrinsics { width: 60, height: 60, fx: 150.0, fy: 150.0, cx: 29.5, cy: 29.5 };
+        let view = Viewpoint {
+            camera: CameraModel { intrinsics, distortion: Distortion::default() },
+            world_from_camera: Pose::new(
+                DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2),
+                DVec3::new(0.0, -1.0, 0.3),
+            ),
+            gain: Vec3::ONE,
+        };
+        let picture = compose(&changed, &view, &vec![Vec3::splat(0.2); 3600], config).linear;
+        let inside = (0..3600usize).filter(|i| (1..59).contains(&(i % 60)) && (1..59).contains(&(i / 60)));
+        let lone = |i: usize| {
+            let around = [i - 61, i - 60, i - 59, i - 1, i + 1, i + 59, i + 60, i + 61];
+            picture[i].y >= 1.0 && around.iter().all(|j| picture[*j].y < 0.5)
+        };
+        inside.filter(|i| lone(*i)).count()
+    }
+
+    #[test]
+    fn small_lamps_make_no_white_specks_in_a_mirror() {
+        let mut config = RealityConfig::default();
+        assert_eq!(specks(&config), 0);
+        config.tuning.compositing.brightest = 1e9;
+        assert!(specks(&config) > 0, "these lamps make specks where they are not held back");
+    }
 }

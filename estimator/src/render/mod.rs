@@ -17,4 +17,5 @@ pub mod objects;
 pub mod relight;
 pub mod removal;
 pub mod sampling;
+pub mod surface_detail;
 pub mod view;

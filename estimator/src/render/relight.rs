@@ -92,6 +92,8 @@ pub struct CachedView {
     /// What sources add to the light of the vertices, whose shadows are as coarse as the mesh: `[sample]`; empty without
     /// sources.
     sharp: Vec<Vec3>,
+    /// Factor from the colour of the vertices to that of the texture: `[sample]`; empty without a texture.
+    detail: Vec<Vec3>,
     gloss: Vec<Gloss>,
 }
 
@@ -155,7 +157,9 @@ impl Relight {
         let all = (0..width * height * per_pixel).into_par_iter();
         let samples: Vec<Sample> = all.clone().map(|s| self.sample(changed, eye, direction(s))).collect();
         let sharp = |s: usize| self.sharp((eye, direction(s)), (s / per_pixel, s % per_pixel), config);
-        let sharp: Vec<Vec3> = if self.sources.is_empty() { Vec::new() } else { all.map(sharp).collect() };
+        let sharp: Vec<Vec3> = if self.sources.is_empty() { Vec::new() } else { all.clone().map(sharp).collect() };
+        let detail = |s: usize| self.detail(changed, eye, direction(s));
+        let detail: Vec<Vec3> = if changed.detail.is_none() { Vec::new() } else { all.map(detail).collect() };
         let mut shown = vec![false; self.body.object.mesh.positions.len()];
         for s in &samples {
             if let Sample::Surface(t, ..) = s {
@@ -185,7 +189,16 @@ impl Relight {
                 }
             })
             .collect();
-        CachedView { samples, sharp, gloss }
+        CachedView { samples, sharp, detail, gloss }
+    }
+
+    /// How the texture differs from the vertices where a ray from the eye meets the scan.
+    fn detail(&self, changed: &Changed, eye: Vec3, d: Vec3) -> Vec3 {
+        let hit = self.body.bvh.closest_hit(eye, d);
+        // The scan's triangles stand before those of inserted things.
+        let scanned = changed.scene.kept.object.mesh.triangles.len();
+        let hit = hit.filter(|h| (h.triangle as usize) < scanned);
+        hit.map_or(Vec3::ONE, |h| changed.detail(&changed.scene.kept, Part::Kept, &h))
     }
 
     /// What a ray from the eye shows.
@@ -244,13 +257,13 @@ impl Relight {
         })
     }
 
-    /// Light that leaves every vertex towards the view under a new light.
-    fn vertices(&self, view: &CachedView, light: &NewLight) -> Vec<Vec3> {
+    /// Light that leaves every vertex towards the view under a new light: what it scatters, and what it mirrors.
+    fn vertices(&self, view: &CachedView, light: &NewLight) -> (Vec<Vec3>, Vec<Vec3>) {
         let irradiance = self.transfer.irradiance(&light.coefficients);
         let shown = |v: usize| {
             (self.albedo[v] * (irradiance[v] + self.local[v])).max(Vec3::ZERO) + self.sources.emission(v as u32)
         };
-        let mut out: Vec<Vec3> = (0..irradiance.len()).into_par_iter().map(shown).collect();
+        let out: Vec<Vec3> = (0..irradiance.len()).into_par_iter().map(shown).collect();
         let mirrored: Vec<Vec3> = view
             .gloss
             .par_iter()
@@ -263,16 +276,17 @@ impl Relight {
                 g.reflectance * light.max(Vec3::ZERO) + g.sources
             })
             .collect();
+        let mut shine = vec![Vec3::ZERO; out.len()];
         for (g, m) in view.gloss.iter().zip(mirrored) {
-            out[g.vertex as usize] += m;
+            shine[g.vertex as usize] = m;
         }
-        out
+        (out, shine)
     }
 
     /// The view under a new light, over `photo` if there is one (linear); `gain` is the view's.
     #[must_use]
     pub fn picture(&self, view: &CachedView, light: &NewLight, gain: Vec3, photo: Option<&[Vec3]>) -> Picture {
-        let vertices = self.vertices(view, light);
+        let (scattered, shine) = self.vertices(view, light);
         let per_pixel = (GRID * GRID) as usize;
         let at = |values: &[Vec3], t: &[u32; 3], w: &[f32; 2]| {
             values[t[0] as usize] * (1.0 - w[0] - w[1]) + values[t[1] as usize] * w[0] + values[t[2] as usize] * w[1]
@@ -284,18 +298,22 @@ impl Relight {
             .map(|(i, samples)| {
                 let (mut new, mut rendered, mut old) = (Vec3::ZERO, Vec3::ZERO, Vec3::ZERO);
                 let (mut shared, mut beyond) = (0u32, 0u32);
-                for (s, sharp) in samples.iter().zip(i * per_pixel..).map(|(s, k)| (s, view.sharp.get(k))) {
-                    let sharp = sharp.copied().unwrap_or_default();
+                for (s, k) in samples.iter().zip(i * per_pixel..) {
+                    let sharp = view.sharp.get(k).copied().unwrap_or_default();
+                    let detail = view.detail.get(k).copied().unwrap_or(Vec3::ONE);
                     match s {
                         Sample::Lamp(radiance) => rendered += *radiance,
                         Sample::Beyond(_, false) if light.scanned && photo.is_some() => beyond += 1,
                         Sample::Beyond(d, _) => rendered += light.environment.radiance(*d),
                         Sample::Surface(t, w, true) if photo.is_some() => {
-                            new += (at(&vertices, t, w) + sharp).max(Vec3::ZERO);
+                            new += (at(&scattered, t, w) + at(&shine, t, w) + sharp).max(Vec3::ZERO);
                             old += at(&self.scanned, t, w);
                             shared += 1;
                         }
-                        Sample::Surface(t, w, _) => rendered += (at(&vertices, t, w) + sharp).max(Vec3::ZERO),
+                        Sample::Surface(t, w, _) => {
+                            let diffuse = (at(&scattered, t, w) + sharp) * detail;
+                            rendered += (diffuse + at(&shine, t, w)).max(Vec3::ZERO);
+                        }
                     }
                 }
                 let n = per_pixel as f32;

@@ -3,6 +3,7 @@
 use crate::association::AssociationContext;
 use crate::export::picture::encode_jpeg;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
+use crate::texture::mutual::register_views;
 use crate::texture::texels::blend;
 use crate::texture::views::{PosedKeyframe, TextureView, ViewSample, views};
 use firmware_config::TextureChoice;
@@ -42,7 +43,7 @@ pub fn texture(
     colors: VertexColors,
     veil_share: f64,
 ) -> (Option<Texture>, Decision) {
-    let (tuning, views) = (&context.config.tuning.texture, views(context, keyframes, veil_share));
+    let (tuning, mut views) = (&context.config.tuning.texture, views(context, keyframes, veil_share));
     let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
     let Some(footprint) = footprint(context, &views) else { return none(0.0) };
     let wanted = match context.config.texture {
@@ -50,6 +51,8 @@ pub fn texture(
         _ => footprint * tuning.texel_px as f32,
     };
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
+    let moved = register_views(context, &mut views, &atlas);
+    tracing::debug!(moved_px = moved, "pictures registered to each other");
     let scale = colors.albedo.iter().map(|a| a.max_element()).fold(1.0f32, f32::max);
     let (mut pixels, seen) = texels(context, &views, &atlas, colors, scale);
     fill(&mut pixels, &atlas);

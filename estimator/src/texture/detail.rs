@@ -3,18 +3,20 @@
 use glam::Vec3;
 use recordings::result::Texture;
 use recordings::types::{Mesh, RgbImage};
+use std::borrow::Cow;
 
 /// Albedo below which the vertices say nothing of a ratio.
 const BLACK: f32 = 1e-4;
 
 /// A texture, decoded, over its mesh.
+#[derive(Debug)]
 pub struct Detail<'a> {
-    texture: &'a Texture,
+    texture: Cow<'a, Texture>,
     picture: RgbImage,
     table: [f32; 256],
-    mesh: &'a Mesh,
+    mesh: Cow<'a, Mesh>,
     /// `[vertex]`.
-    albedo: &'a [Vec3],
+    albedo: Cow<'a, [Vec3]>,
 }
 
 impl<'a> Detail<'a> {
@@ -23,7 +25,23 @@ impl<'a> Detail<'a> {
     /// # Errors
     /// The picture is damaged.
     pub fn new(texture: &'a Texture, mesh: &'a Mesh, albedo: &'a [Vec3]) -> Result<Self, String> {
-        Ok(Self { picture: texture.picture()?, table: texture.table(), texture, mesh, albedo })
+        let (picture, table) = (texture.picture()?, texture.table());
+        let (texture, mesh, albedo) = (Cow::Borrowed(texture), Cow::Borrowed(mesh), Cow::Borrowed(albedo));
+        Ok(Self { texture, picture, table, mesh, albedo })
+    }
+
+    /// The same with a copy of the mesh, the charts and the albedo.
+    #[must_use]
+    pub fn into_owned(self) -> Detail<'static> {
+        // The packed picture is not needed any more.
+        let texture = Texture { jpeg: Vec::new(), ..self.texture.into_owned() };
+        Detail {
+            texture: Cow::Owned(texture),
+            picture: self.picture,
+            table: self.table,
+            mesh: Cow::Owned(self.mesh.into_owned()),
+            albedo: Cow::Owned(self.albedo.into_owned()),
+        }
     }
 
     /// Linear albedo at barycentric `weights` of a triangle.

@@ -1,12 +1,14 @@
 //! Keyframes as seen from points of the surface.
 
 use crate::association::keyframe_image::{KeyframeImage, distorted};
+use crate::association::moving_camera::MovingCamera;
 use crate::association::veil::{self, Veil};
 use crate::association::{AssociationContext, RefinedView};
-use crate::mesh::raster::{Raster, camera_positions};
+use crate::mesh::raster::Raster;
+use crate::texture::registration::{Expected, register};
 use glam::Vec3;
 use rayon::prelude::*;
-use recordings::types::{CameraModel, Keyframe, Pose};
+use recordings::types::{CameraModel, Keyframe};
 
 /// Pixels along each axis at which the visible surface is compared, besides the point's own.
 const AROUND_PX: [(isize, isize); 5] = [(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)];
@@ -19,7 +21,7 @@ const MAX_RADIUS_PX: f64 = 4.0;
 pub struct TextureView {
     image: KeyframeImage,
     lens: CameraModel,
-    camera_from_world: Pose,
+    camera: MovingCamera,
     center: Vec3,
     /// Exposure e_j of the channels.
     exposure: Vec3,
@@ -52,16 +54,15 @@ pub type PosedKeyframe<'a> = (&'a Keyframe, &'a RefinedView, &'a Option<Veil>);
 pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], veil_share: f64) -> Vec<TextureView> {
     let view = |&(keyframe, view, veil): &PosedKeyframe| {
         let image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
-        let points = camera_positions(context.mesh, &view.world_from_camera);
-        let raster = Raster::new(&points, &context.mesh.triangles, &image.camera, context.near);
+        let camera = MovingCamera::still(&view.world_from_camera, &image.camera);
         Some(TextureView {
             lens: keyframe.camera,
-            camera_from_world: view.world_from_camera.inverse(),
             center: view.world_from_camera.translation.as_vec3(),
             exposure: Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32)),
             veil: veil.clone()?,
             veil_share: veil_share as f32,
-            depth: raster.depth,
+            depth: depth(context, &camera),
+            camera,
             focal: 0.5 * (image.camera.fx.abs() + image.camera.fy.abs()),
             image,
         })
@@ -69,7 +70,28 @@ pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], veil_sha
     keyframes.par_iter().filter_map(view).collect()
 }
 
+/// Depth of the surface at the pixels, `[row][column]`.
+fn depth(context: &AssociationContext, camera: &MovingCamera) -> Vec<f32> {
+    Raster::new(&camera.points(context.mesh), &context.mesh.triangles, &camera.intrinsics, context.near).depth
+}
+
 impl TextureView {
+    /// Moves the camera to where its picture fits these colours of points best, linear RGB; returns by how many pixels.
+    pub fn register(&mut self, context: &AssociationContext, colors: &[(Vec3, Vec3)]) -> f64 {
+        let expected = |&(point, color): &(Vec3, Vec3)| {
+            let (u, v) = self.camera.pixel(self.camera.point(point));
+            Expected { point, color: color / self.exposure + self.veil.at(u, v) * self.veil_share }
+        };
+        let expected: Vec<Expected> = colors.iter().map(expected).collect();
+        let found = register(context, &self.image, self.camera, &expected);
+        if found.moved_px > 0.0 {
+            self.camera = found.camera;
+            self.center = self.camera.camera_from_world.inverse().translation.as_vec3();
+            self.depth = depth(context, &self.camera);
+        }
+        found.moved_px
+    }
+
     /// What the keyframe shows of a point with this unit normal under a window of the width of a texel; `None` if the point is
     /// hidden, outside the picture, or seen from behind.
     #[must_use]
@@ -79,12 +101,12 @@ impl TextureView {
         if cosine.is_nan() || f64::from(cosine) <= tuning.min_cosine {
             return None;
         }
-        let p = self.camera_from_world.transform(point.as_dvec3());
+        let p = self.camera.point(point);
         if p.z.is_nan() || p.z <= context.near {
             return None;
         }
         let k = &self.image.camera;
-        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let (u, v) = self.camera.pixel(p);
         let border = u.min(v).min(f64::from(k.width) - 1.0 - u).min(f64::from(k.height) - 1.0 - v);
         if border.is_nan() || border <= CUT_PX {
             return None;

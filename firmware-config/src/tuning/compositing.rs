@@ -35,5 +35,7 @@ section! {
         model_samples: u32 = 4, [1..=256], "", "";
         /// Rays per sample of a glossy reflection.
         gloss_rays: u32 = 16, [1..=4096], "", "";
+        /// Light of a sample of an inserted thing, over what is recorded as white, beyond which it is cut: a lamp in one of a pixel's samples makes no white speck.
+        brightest: f64 = 2.0, [1.0..=1000000000.0], "", "";
     }
 }

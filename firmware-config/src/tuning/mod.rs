@@ -17,6 +17,7 @@ mod mesh;
 mod model_selection;
 mod pose;
 mod preprocessing;
+mod registration;
 mod relocalisation;
 mod removal;
 mod response;
@@ -50,6 +51,7 @@ pub use mesh::MeshTuning;
 pub use model_selection::ModelSelectionTuning;
 pub use pose::PoseTuning;
 pub use preprocessing::PreprocessingTuning;
+pub use registration::RegistrationTuning;
 pub use relocalisation::RelocalisationTuning;
 pub use removal::RemovalTuning;
 pub use response::ResponseTuning;
@@ -96,6 +98,8 @@ tuning! {
         segmentation: SegmentationTuning;
         /// Texture.
         texture: TextureTuning;
+        /// Registration of the pictures to the texture.
+        registration: RegistrationTuning;
     }
 }
 

@@ -18,13 +18,21 @@ pub struct Cut {
     pub removed: Mesh,
     /// Index in the whole mesh of each vertex of `removed`.
     pub removed_from: Vec<u32>,
+    /// Index in the whole mesh of each triangle of `kept` but the patches, which stand behind.
+    pub kept_triangles: Vec<u32>,
+    /// Index in the whole mesh of each triangle of `removed`.
+    pub removed_triangles: Vec<u32>,
 }
 
 /// Cuts the vertices `gone` away and closes the holes that this leaves.
 #[must_use]
 pub fn cut(mesh: &Mesh, gone: &[bool], tuning: &InpaintingTuning) -> Cut {
     let goes = |t: &[u32; 3]| t.iter().any(|&i| gone[i as usize]);
-    let (away, stay): (Vec<[u32; 3]>, Vec<[u32; 3]>) = mesh.triangles.iter().partition(|t| goes(t));
+    let all = 0..mesh.triangles.len() as u32;
+    let (removed_triangles, kept_triangles): (Vec<u32>, Vec<u32>) =
+        all.partition(|t| goes(&mesh.triangles[*t as usize]));
+    let of = |list: &[u32]| -> Vec<[u32; 3]> { list.iter().map(|t| mesh.triangles[*t as usize]).collect() };
+    let (away, stay) = (of(&removed_triangles), of(&kept_triangles));
     let mut index = vec![u32::MAX; mesh.positions.len()];
     let mut removed_from = Vec::new();
     for &i in away.iter().flatten() {
@@ -51,7 +59,7 @@ pub fn cut(mesh: &Mesh, gone: &[bool], tuning: &InpaintingTuning) -> Cut {
             close(&mut kept, &ring);
         }
     }
-    Cut { kept, first_patch, removed, removed_from }
+    Cut { kept, first_patch, removed, removed_from, kept_triangles, removed_triangles }
 }
 
 /// Open borders of the kept mesh that the removed part left or hid: an object's contact with its support is seldom

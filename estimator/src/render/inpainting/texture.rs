@@ -64,7 +64,7 @@ impl<'a> KnownSurface<'a> {
 }
 
 /// Fills `values` where they are not `known`: a membrane everywhere, texture where a piece of the surface beside fits.
-/// `edge` is the mesh's median edge in metres.
+/// `edge` is the mesh's median edge in metres. Returns where a piece was copied from, as a shift in metres: `[vertex]`.
 pub fn continue_texture(
     values: &mut [Vec3],
     known: &[bool],
@@ -72,7 +72,8 @@ pub fn continue_texture(
     graph: &Graph,
     edge: f32,
     tuning: &InpaintingTuning,
-) {
+) -> Vec<Option<Vec3>> {
+    let mut copied = vec![None; values.len()];
     let around = KnownSurface::new(mesh, values, known, edge, tuning.same_surface as f32);
     inpaint(values, known, graph);
     let mut done = known.to_vec();
@@ -82,11 +83,14 @@ pub fn continue_texture(
         }
         let hole = graph.component(start, &mut done);
         if hole.len() >= tuning.smallest_hole as usize {
-            clone_into(&hole, values, known, &around, graph, tuning);
+            let shift = clone_into(&hole, values, known, &around, graph, tuning);
+            hole.iter().for_each(|v| copied[*v] = shift);
         }
     }
+    copied
 }
 
+/// Copies the piece that fits best, if one does; returns the shift to it.
 fn clone_into(
     hole: &[usize],
     values: &mut [Vec3],
@@ -94,12 +98,12 @@ fn clone_into(
     around: &KnownSurface,
     graph: &Graph,
     tuning: &InpaintingTuning,
-) {
+) -> Option<Vec3> {
     let mesh = around.mesh;
     let sum: Vec3 = hole.iter().map(|&v| mesh.normals[v]).sum();
     let normal = sum / hole.len() as f32;
     if normal.length() < tuning.same_surface as f32 {
-        return;
+        return None;
     }
     let normal = normal.normalize();
     let mut border: Vec<usize> =
@@ -107,7 +111,7 @@ fn clone_into(
     border.sort_unstable();
     border.dedup();
     if border.len() < 8 {
-        return;
+        return None;
     }
     let middle = hole.iter().map(|&v| mesh.positions[v]).sum::<Vec3>() / hole.len() as f32;
     let radius = hole.iter().fold(0.0f32, |r, &v| r.max(mesh.positions[v].distance(middle)));
@@ -132,9 +136,7 @@ fn clone_into(
             best = Some((cost, shift));
         }
     }
-    let Some((_, shift)) = best else {
-        return;
-    };
+    let (_, shift) = best?;
     let mut level = vec![Vec3::ONE; values.len()];
     let mut fixed = vec![true; values.len()];
     hole.iter().for_each(|&v| fixed[v] = false);
@@ -149,6 +151,7 @@ fn clone_into(
             values[v] = source * level[v];
         }
     }
+    Some(shift)
 }
 
 fn log_ratio(a: Vec3, b: Vec3) -> f32 {

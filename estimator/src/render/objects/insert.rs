@@ -8,6 +8,7 @@ use crate::render::objects::gltf::document;
 use crate::render::objects::material::Material;
 use crate::render::objects::object::Object;
 use crate::render::objects::ply;
+use crate::render::objects::support::{own_up, standing_point};
 use firmware_config::RealityConfig;
 use glam::{Vec2, Vec3};
 use recordings::result::Estimate;
@@ -17,15 +18,26 @@ use std::path::{Path, PathBuf};
 /// Largest object file, in bytes.
 const MAX_FILE_BYTES: u64 = 1 << 30;
 
-/// `OBJECT[@x,y,z[,yaw_deg[,scale]]]`, where OBJECT is a file or `other.lres[#segment=4,7]`.
+/// Where an object stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Place {
+    /// On what the middle of the view shows.
+    Middle,
+    /// On what this pixel of the view shows.
+    Pixel(f32, f32),
+    /// With its origin here (of a scan's part: the middle of its foot), metres.
+    Position(Vec3),
+}
+
+/// `OBJECT[@PLACE[,yaw_deg[,scale]]]`, where OBJECT is a file or `other.lres[#segment=4,7]`, and PLACE `x,y,z` or `pixel:X,Y`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Insert {
     /// Object file or result.
     pub path: PathBuf,
     /// Segments of a result; empty = all of it.
     pub segments: Vec<u32>,
-    /// Where its origin stands (of a scan's part: the middle of its foot); `None` = where the view's middle meets the scan.
-    pub position: Option<Vec3>,
+    /// Where it stands.
+    pub place: Place,
     /// Turn about +Z in degrees.
     pub yaw_deg: f32,
     /// Size factor.
@@ -35,21 +47,24 @@ pub struct Insert {
 impl std::str::FromStr for Insert {
     type Err = String;
     fn from_str(text: &str) -> std::result::Result<Self, String> {
-        let place = text.rsplit_once('@').map(|(object, place)| {
-            let numbers: std::result::Result<Vec<f32>, _> = place.split(',').map(|x| x.trim().parse::<f32>()).collect();
-            (object, numbers)
-        });
-        let (object, numbers) = match place {
-            Some((object, Ok(n))) => (object, n),
+        const FORM: &str = "after @ must stand x,y,z[,yaw_deg[,scale]] or pixel:X,Y[,yaw_deg[,scale]]";
+        let split = text.rsplit_once('@').map(|(object, place)| (object, numbers(place)));
+        let (object, pixel, numbers) = match split {
+            Some((object, Some((pixel, n)))) => (object, pixel, n),
             // An @ in a file's name.
-            Some((_, Err(_))) if Path::new(text).exists() => (text, Vec::new()),
-            Some((_, Err(_))) => return Err("after @ must stand x,y,z[,yaw_deg[,scale]]".into()),
-            None => (text, Vec::new()),
+            Some((_, None)) if !Path::new(text).exists() => return Err(FORM.into()),
+            _ => (text, false, Vec::new()),
         };
-        if ![0, 3, 4, 5].contains(&numbers.len()) || numbers.iter().any(|x| !x.is_finite()) {
-            return Err("after @ must stand x,y,z[,yaw_deg[,scale]]".into());
+        let (place, rest) = match (pixel, &numbers[..]) {
+            (false, []) => (Place::Middle, &[][..]),
+            (true, [x, y, rest @ ..]) => (Place::Pixel(*x, *y), rest),
+            (false, [x, y, z, rest @ ..]) => (Place::Position(Vec3::new(*x, *y, *z)), rest),
+            _ => return Err(FORM.into()),
+        };
+        if rest.len() > 2 || numbers.iter().any(|x| !x.is_finite()) {
+            return Err(FORM.into());
         }
-        let scale = numbers.get(4).copied().unwrap_or(1.0);
+        let scale = rest.get(1).copied().unwrap_or(1.0);
         if scale <= 0.0 {
             return Err("the scale must be more than 0".into());
         }
@@ -60,14 +75,15 @@ impl std::str::FromStr for Insert {
                 (path, ids.collect::<std::result::Result<_, _>>()?)
             }
         };
-        Ok(Self {
-            path: path.into(),
-            segments,
-            position: (numbers.len() >= 3).then(|| Vec3::new(numbers[0], numbers[1], numbers[2])),
-            yaw_deg: numbers.get(3).copied().unwrap_or(0.0),
-            scale,
-        })
+        Ok(Self { path: path.into(), segments, place, yaw_deg: rest.first().copied().unwrap_or(0.0), scale })
     }
+}
+
+/// The numbers of a place, and whether it is a pixel.
+fn numbers(place: &str) -> Option<(bool, Vec<f32>)> {
+    let pixel = place.strip_prefix("pixel:");
+    let list = pixel.unwrap_or(place).split(',').map(|x| x.trim().parse().ok()).collect::<Option<_>>()?;
+    Some((pixel.is_some(), list))
 }
 
 /// Reads an object and places it on a `mesh` with the rays `scene`; also returns warnings about its place.
@@ -86,29 +102,36 @@ pub fn load(
     let mut object = if is_scan { part_of(path, &insert.segments, config)? } else { from_file(path)? };
     let (low, high) = object.bounds();
     let foot = Vec3::new((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z);
-    if is_scan || insert.position.is_none() {
+    if is_scan || !matches!(insert.place, Place::Position(_)) {
         object.place(-foot, 0.0, 1.0);
     }
-    let position = match insert.position {
-        Some(p) => p,
-        None => middle(view, scene).ok_or_else(|| {
-            RenderError::Request(
-                "the middle of the view meets no surface to put the object on; give a position: OBJECT@x,y,z".into(),
-            )
-        })?,
+    let (position, up) = match insert.place {
+        Place::Position(p) => (p, Vec3::Z),
+        Place::Pixel(..) | Place::Middle => {
+            let radius = (high - low).truncate().min_element() / 2.0 * insert.scale;
+            let (w, h) = view.size();
+            let (x, y) = match insert.place {
+                Place::Pixel(x, y) => (x, y),
+                _ => ((w - 1) as f32 / 2.0, (h - 1) as f32 / 2.0),
+            };
+            if x < 0.0 || y < 0.0 || x > (w - 1) as f32 || y > (h - 1) as f32 {
+                return Err(RenderError::Request(format!("pixel {x},{y} is not in the view, which has {w}x{h}")));
+            }
+            let ray = (view.world_from_camera.translation.as_vec3(), view.ray(x, y));
+            let up = own_up(mesh);
+            let found = standing_point(mesh, scene, up, ray, radius).ok_or_else(|| {
+                RenderError::Request(format!(
+                    "the view shows no surface at pixel {x},{y} to put the object on; name another: OBJECT@pixel:X,Y"
+                ))
+            })?;
+            (found, up)
+        }
     };
-    object.place(position, insert.yaw_deg.to_radians(), insert.scale);
+    object.place(Vec3::ZERO, insert.yaw_deg.to_radians(), insert.scale);
+    object.stand(position, up);
     let odd =
         placement_warnings(&object, mesh, scene).into_iter().map(|o| format!("{}: {o}", path.display())).collect();
     Ok((object, odd))
-}
-
-/// Where the middle of the view meets the scan.
-fn middle(view: &Viewpoint, scene: &RayScene) -> Option<Vec3> {
-    let (w, h) = view.size();
-    let eye = view.world_from_camera.translation.as_vec3();
-    let d = view.ray((w - 1) as f32 / 2.0, (h - 1) as f32 / 2.0);
-    scene.closest_hit(eye, d).map(|hit| eye + d * hit.distance)
 }
 
 fn placement_warnings(object: &Object, mesh: &Mesh, scene: &RayScene) -> Vec<String> {
@@ -200,13 +223,25 @@ mod tests {
     fn places_are_read() {
         let i: Insert = "a/knot.glb@0,0.5,-1,90,2".parse().unwrap();
         assert_eq!(
-            (i.path, i.position, i.yaw_deg, i.scale),
-            ("a/knot.glb".into(), Some(Vec3::new(0.0, 0.5, -1.0)), 90.0, 2.0)
+            (i.path, i.place, i.yaw_deg, i.scale),
+            ("a/knot.glb".into(), Place::Position(Vec3::new(0.0, 0.5, -1.0)), 90.0, 2.0)
         );
+        let i: Insert = "knot.glb@pixel:470,300.5,45".parse().unwrap();
+        assert_eq!((i.path, i.place, i.yaw_deg, i.scale), ("knot.glb".into(), Place::Pixel(470.0, 300.5), 45.0, 1.0));
         let i: Insert = "other.lres#segment=4,7@1,2,3".parse().unwrap();
-        assert_eq!((i.path, i.segments, i.position), ("other.lres".into(), vec![4, 7], Some(Vec3::new(1.0, 2.0, 3.0))));
-        assert_eq!("knot.glb".parse::<Insert>().unwrap().position, None);
-        for bad in ["a@1,2", "a@1,2,x", "a@1,2,3,0,0", "a@1,2,3,0,-1", "a@nan,0,0", "a.lres#segment=x"] {
+        let place = Place::Position(Vec3::new(1.0, 2.0, 3.0));
+        assert_eq!((i.path, i.segments, i.place), ("other.lres".into(), vec![4, 7], place));
+        assert_eq!("knot.glb".parse::<Insert>().unwrap().place, Place::Middle);
+        for bad in [
+            "a@1,2",
+            "a@1,2,x",
+            "a@1,2,3,0,0",
+            "a@1,2,3,0,-1",
+            "a@nan,0,0",
+            "a.lres#segment=x",
+            "a@pixel:3",
+            "a@pixel:1,2,3,4,5",
+        ] {
             assert!(bad.parse::<Insert>().is_err(), "{bad}");
         }
     }

@@ -6,3 +6,4 @@ pub mod insert;
 pub mod material;
 pub mod object;
 pub mod ply;
+mod support;

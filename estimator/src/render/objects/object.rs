@@ -2,7 +2,7 @@
 
 use crate::rays::Hit;
 use crate::render::objects::material::{Brdf, Material};
-use glam::{Vec2, Vec3};
+use glam::{Quat, Vec2, Vec3};
 use recordings::types::{Mesh, vertex_normals};
 
 /// A mesh with looks. `color` and `uv` are as long as the vertices or empty; `material` as long as the triangles.
@@ -105,6 +105,13 @@ impl Object {
         let (s, c) = libm::sincosf(yaw_rad);
         let turn = |p: Vec3| Vec3::new(c * p.x - s * p.y, s * p.x + c * p.y, p.z);
         self.mesh.positions.iter_mut().for_each(|p| *p = turn(*p) * scale + position);
+        self.mesh.normals.iter_mut().for_each(|n| *n = turn(*n));
+    }
+
+    /// Turns +Z to the unit direction `up`, then moves.
+    pub fn stand(&mut self, position: Vec3, up: Vec3) {
+        let turn = |p: Vec3| if up == Vec3::Z { p } else { Quat::from_rotation_arc(Vec3::Z, up) * p };
+        self.mesh.positions.iter_mut().for_each(|p| *p = turn(*p) + position);
         self.mesh.normals.iter_mut().for_each(|n| *n = turn(*n));
     }
 
