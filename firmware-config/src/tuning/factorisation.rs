@@ -58,7 +58,7 @@ section! {
         /// Share of the surface that counts as plain, plainest segments first: what spreads their albedo is error.
         plain_share: f64 = 0.5, [0.0..=1.0], "", "";
         /// Largest standard deviation of log albedo that is taken as error; beyond it is paint.
-        max_unexplained: f64 = 0.1, [0.0..=2.0], "", "";
+        max_unexplained: f64 = 0.07, [0.0..=2.0], "", "";
         /// Relative error of an albedo at which its confidence is one half.
         half_confidence_error: f64 = 0.15, [0.001..=10.0], "", "";
     }
