@@ -168,7 +168,7 @@ fn a_scan_is_driven_from_the_page_and_its_files_are_fetched() {
     }
     let light = s.get("/api/light").json();
     let told: Vec<f64> = serde_json::from_value(light["told"].clone()).unwrap();
-    assert!(light["coefficients"].as_array().is_some_and(|c| c.len() == 16) && light["vertices"].as_u64() > Some(100));
+    assert!(light["coefficients"].as_array().is_some_and(|c| c.len() == 25) && light["vertices"].as_u64() > Some(100));
     assert!(told.contains(&1.0) && told.contains(&0.0), "a table tells of the light from above");
 
     // While paused, the camera is tracked and nothing is added.
