@@ -1,8 +1,8 @@
 //! `manifest.json`: the files of a published scan, how it was made, and the time that took. No other file of a scan holds clock
 //! readings.
 
+use crate::device_folder::dates::Dates;
 use crate::device_folder::files::write_file;
-use crate::device_folder::undated::Dates;
 use crate::failure::Failure;
 use recordings::crc32_of_file;
 use recordings::decision_text::Findings;

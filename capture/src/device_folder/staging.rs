@@ -1,8 +1,8 @@
 //! The folder of a scan that is being made: invisible until it is complete, then renamed into place.
 
+use crate::device_folder::dates::{self, Dates, Moment};
 use crate::device_folder::files::sync;
 use crate::device_folder::naming::sanitised;
-use crate::device_folder::undated::{self, Dates, Moment};
 use crate::failure::Failure;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ impl Staging {
         let scans = device.join("scans");
         std::fs::create_dir_all(&scans).map_err(|e| cannot_write(&scans, &e))?;
         remove_abandoned(&scans);
-        let (stamp, name) = (undated::stamp(), sanitised(name));
+        let (stamp, name) = (dates::stamp(), sanitised(name));
         let folder = scans.join(format!("{STAGING}{}-{stamp}-{name}", std::process::id()));
         std::fs::create_dir(&folder).map_err(|e| cannot_write(&folder, &e))?;
         Ok(Self { scans, folder, stamp, name, began: Some(Moment::now()), published: false, keep: false })
@@ -47,7 +47,7 @@ impl Staging {
     /// The device folder cannot be written.
     pub fn unattended(device: &Path, name: &str) -> Result<Self, Failure> {
         let scans = device.join("scans");
-        let (stamp, name) = (undated::stamp(), sanitised(name));
+        let (stamp, name) = (dates::stamp(), sanitised(name));
         let folder = scans.join(format!("{UNFINISHED}{stamp}-{name}"));
         std::fs::create_dir_all(&folder).map_err(|e| cannot_write(&folder, &e))?;
         // After a power cut, what is in it is found.
@@ -76,7 +76,7 @@ impl Staging {
 
     /// Its dates, if it is published now.
     pub fn dates(&mut self) -> Dates {
-        undated::dates(&mut self.stamp, self.began.as_ref())
+        dates::dates(&mut self.stamp, self.began.as_ref())
     }
 
     /// Keeps the folder from now on, even if it is not published.
