@@ -15,9 +15,9 @@ const EARLIEST_S: u64 = 1_767_225_600;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Moment {
     /// Which start.
-    boot: String,
+    pub boot: String,
     /// Seconds since then.
-    seconds: f64,
+    pub seconds: f64,
 }
 
 impl Moment {
