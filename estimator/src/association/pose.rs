@@ -26,8 +26,6 @@ pub struct PoseRefiner {
     moved: Vec<Motion>,
     /// The pictures do not tell translation from rotation: the given translations stay.
     is_ambiguous: bool,
-    /// The round from which refinement began, or began again.
-    began: u32,
     /// The keyframe ran away and is held by the others' deviation, `[keyframe]`.
     held: Vec<bool>,
     /// RMS step in pixels, `[round]`.
@@ -43,7 +41,6 @@ impl PoseRefiner {
             given: vec![],
             moved: vec![Motion::zeros(); keyframes],
             is_ambiguous: false,
-            began: 0,
             held: vec![false; keyframes],
             history: vec![],
             first_residual: 0.0,
@@ -61,7 +58,7 @@ impl PoseRefiner {
         views: &mut [RefinedView],
         round: u32,
     ) -> bool {
-        let levels: &[f64] = match round - self.began {
+        let levels: &[f64] = match round {
             0 => &[0.25, 0.5],
             1 => &[0.5, 1.0],
             _ => &[1.0],
@@ -116,11 +113,8 @@ impl PoseRefiner {
         self.last_residual = after / count;
         let rms = f64::sqrt(squares / count);
         self.history.push(rms);
-        // Steps from coarse pictures do not count yet.
-        let is_due = round >= MIN_ROUNDS && !self.is_ambiguous;
-        if is_due && is_ambiguous(moved_px, &context.config.tuning.pose) {
+        if !self.is_ambiguous && is_ambiguous(moved_px, &context.config.tuning.pose) {
             self.restart(views);
-            self.began = round + 1;
             return true;
         }
         rms > context.config.tuning.pose.converged_px || round < MIN_ROUNDS
