@@ -19,8 +19,6 @@ section! {
         deviation_keyframes: u32 = 6, [2..=1000000], "", "";
         /// A keyframe whose motion is longer than this many robust deviations of all motions ran away: the prior holds it with that deviation from then on. Source: measured on the rendered scenes.
         runaway_deviations: f64 = 8.0, [0.1..=1e6], "σ", "";
-        /// Where translations alone would move the pictures by this many times what the whole motions move them, pictures do not tell the two apart: the given translations stay. Source: measured on generated scenes.
-        ambiguous_share: f64 = 1.5, [1.0..=1e6], "", "";
         /// Rings of unseen vertices that take their neighbours' lit colour in the predicted image. Source: measured on the rendered scenes.
         fill_rings: u32 = 8, [0..=1000], "edges", "";
         /// Smallest number of edge pixels with which a keyframe is aligned. Source: far above the six unknowns.
