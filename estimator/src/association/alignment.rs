@@ -12,9 +12,9 @@ use nalgebra::{SMatrix, SVector};
 use recordings::types::{Intrinsics, Pose};
 
 /// Tukey's constant in robust scales.
-const TUKEY: f64 = 4.685;
+pub const TUKEY: f64 = 4.685;
 /// Lower bound of the robust scale of residuals, in square roots of light.
-const MIN_SCALE: f64 = 1e-3;
+pub const MIN_SCALE: f64 = 1e-3;
 
 /// (rotation vector, translation) in the camera's frame.
 pub type Motion = SVector<f64, 6>;

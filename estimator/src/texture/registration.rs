@@ -2,7 +2,7 @@
 //! the camera's motion while the rows were read, with Tukey weights and a prior on both.
 
 use crate::association::AssociationContext;
-use crate::association::alignment::{Motion, jacobian, tukey_cost};
+use crate::association::alignment::{MIN_SCALE, Motion, TUKEY, jacobian, tukey_cost};
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::moving_camera::MovingCamera;
 use crate::numerics::robust::median;
@@ -11,10 +11,6 @@ use glam::Vec3;
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
-/// Tukey's constant in robust scales.
-const TUKEY: f64 = 4.685;
-/// Lower bound of the robust scale of residuals, in square roots of light.
-const MIN_SCALE: f64 = 1e-3;
 /// Points that one task adds up.
 const CHUNK: usize = 1024;
 
