@@ -152,7 +152,7 @@ pub fn estimate(
     })
 }
 
-/// Estimates a small scan at the lowest priority, with one thread and one round of rays; returns its processor time in
+/// Estimates a small scan at the lowest priority, with two threads and one round of rays; returns its processor time in
 /// seconds.
 ///
 /// # Errors
@@ -160,7 +160,7 @@ pub fn estimate(
 pub fn estimate_coarsely(scan: &Path, result: &Path, memory_mb: u32, stop: &Stop) -> Result<f64, Failure> {
     let cannot = |e: std::io::Error| Failure::Internal(format!("the estimator could not be started: {e}"));
     let mut command = Command::new(std::env::current_exe().map_err(cannot)?);
-    command.args(["--json", "estimate"]).arg(scan).arg("-o").arg(result).args(["--rounds", "1", "--threads", "1"]);
+    command.args(["--json", "estimate"]).arg(scan).arg("-o").arg(result).args(["--rounds", "1", "--threads", "2"]);
     command.arg("--parent").arg(std::process::id().to_string());
     command.arg("--memory").arg(memory_mb.to_string()).env("RUST_BACKTRACE", "0");
     let mut child =

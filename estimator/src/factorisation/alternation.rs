@@ -7,8 +7,6 @@ use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Maximum number of turns.
-const MAX_TURNS: usize = 80;
 /// The turns have converged when no log albedo changes by more.
 const ALBEDO_TOLERANCE: f64 = 1e-4;
 /// Maximum number of sweeps of the non-negative solver in one turn; the next turn continues them.
@@ -48,7 +46,7 @@ impl Alternation {
         }
         let mut sum = (DMatrix::zeros(k, k), DVector::zeros(k));
         statistics.iter().zip(&self.albedo).for_each(|(s, a)| add(&mut sum, s, *a));
-        for _ in 0..MAX_TURNS {
+        for _ in 0..tuning.max_turns {
             let (gram, cross) = &sum;
             // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
             let strength = regularisation * total / DIRECTIONS as f64;

@@ -10,6 +10,8 @@ use std::sync::Arc;
 const BANDS: u32 = 5;
 const RAYS: u32 = 32;
 const ROUNDS: u32 = 2;
+/// Turns of light and albedo: after twelve the irradiance of the bundled table is as good as after eighty, in half the time.
+const TURNS: u32 = 12;
 
 /// The scan of a mesh and the pictures of kept frames.
 #[must_use]
@@ -35,6 +37,7 @@ fn coarse(config: &Config) -> Config {
     (e.bands, e.rays, e.association_rounds, e.max_vertices) = (BANDS, RAYS, ROUNDS, most);
     (e.transfer, e.quality) = (TransferChoice::Gi, Quality::Draft);
     (e.refine_poses, e.specular) = (Switch::Off, Switch::Off);
+    e.tuning.factorisation.max_turns = TURNS;
     e.tuning.factorisation.near_light = false;
     e.tuning.factorisation.veil = false;
     config

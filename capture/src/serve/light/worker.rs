@@ -14,13 +14,13 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
 /// Time between two looks at whether an estimate is due.
-const POLL: Duration = Duration::from_millis(100);
+const POLL: Duration = Duration::from_millis(50);
 /// Kept pictures and surfels from which there is anything to find.
 const FEWEST_PICTURES: usize = 3;
 const FEWEST_SURFELS: usize = 500;
 /// The first estimates come sooner: not later than this share of the scan's time after the one before, and this time.
-const SOONER_SHARE: f64 = 0.15;
-const SOONER_S: f64 = 0.25;
+const SOONER_SHARE: f64 = 0.05;
+const SOONER_S: f64 = 0.1;
 /// Vertices of the mesh that is handed over, in those of the estimate: the estimator makes an even mesh of it.
 const FINER: usize = 2;
 /// Address space of the estimator's process, MB.
