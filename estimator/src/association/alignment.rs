@@ -28,6 +28,8 @@ pub struct Alignment {
     pub moved: Motion,
     /// RMS motion of the edge pixels at full resolution.
     pub step_px: f64,
+    /// The same since the given pose, and what its translation alone would make it.
+    pub moved_px: [f64; 2],
     /// Mean Tukey loss before.
     pub before: f64,
     /// Mean Tukey loss after.
@@ -79,12 +81,15 @@ pub fn align(
     }
     let (after, delta, moved_now) = best;
     if after >= before {
-        return Some(Alignment { pose: view.world_from_camera, moved: *moved, step_px: 0.0, before, after: before });
+        let moved_px = problem.moved_px(moved, level);
+        let pose = view.world_from_camera;
+        return Some(Alignment { pose, moved: *moved, step_px: 0.0, moved_px, before, after: before });
     }
     Some(Alignment {
         pose: view.world_from_camera.compose(&delta.inverse()),
         moved: moved_now,
         step_px: problem.rms_shift_px(&delta) / level,
+        moved_px: problem.moved_px(&moved_now, level),
         before,
         after,
     })
@@ -100,6 +105,9 @@ pub struct PoseDeviation {
 }
 
 impl PoseDeviation {
+    /// Of poses whose translation is right, while their rotation may be off by as much as the prior allows.
+    pub const ROTATION_ALONE: Self = Self { rotation: f64::INFINITY, translation: 1e-6 };
+
     /// From the motions of many keyframes, most of which were aligned well; `None` if none moved.
     pub fn of(moved: &[Motion]) -> Option<Self> {
         let sigma = |unknowns: std::ops::Range<usize>| {
@@ -227,6 +235,14 @@ impl Problem<'_> {
         let step = -(hessian.cholesky()?.solve(&gradient));
         let square = (step.transpose() * motion * step)[0] / self.pixels.len() as f64;
         step.iter().all(|x| x.is_finite()).then(|| (step, square.sqrt()))
+    }
+
+    /// RMS motion in pixels at full resolution of the edge pixels, to the first order, under the total motion and under its
+    /// translation alone.
+    fn moved_px(&self, moved: &Motion, level: f64) -> [f64; 2] {
+        let translation = DVec3::new(moved[3], moved[4], moved[5]);
+        [DVec3::new(moved[0], moved[1], moved[2]), DVec3::ZERO]
+            .map(|rotation| self.rms_shift_px(&Pose::exp(rotation, translation)) / level)
     }
 
     /// RMS motion in pixels of the edge pixels under `delta`.

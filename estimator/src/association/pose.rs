@@ -6,6 +6,7 @@ use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::LitColors;
 use crate::association::observations::RefinedView;
+use crate::numerics::robust::median;
 use firmware_config::tuning::PoseTuning;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -19,8 +20,14 @@ const MIN_REST: f32 = 0.05;
 
 /// Refines all poses, round by round.
 pub struct PoseRefiner {
+    /// Given poses, `[keyframe]`; none before the first round.
+    given: Vec<Pose>,
     /// Sum of the steps since the given pose, `[keyframe]`.
     moved: Vec<Motion>,
+    /// The pictures do not tell translation from rotation: the given translations stay.
+    is_ambiguous: bool,
+    /// The round from which refinement began, or began again.
+    began: u32,
     /// The keyframe ran away and is held by the others' deviation, `[keyframe]`.
     held: Vec<bool>,
     /// RMS step in pixels, `[round]`.
@@ -33,7 +40,10 @@ impl PoseRefiner {
     /// Starts at the given poses.
     pub fn new(keyframes: usize) -> Self {
         Self {
+            given: vec![],
             moved: vec![Motion::zeros(); keyframes],
+            is_ambiguous: false,
+            began: 0,
             held: vec![false; keyframes],
             history: vec![],
             first_residual: 0.0,
@@ -51,11 +61,14 @@ impl PoseRefiner {
         views: &mut [RefinedView],
         round: u32,
     ) -> bool {
-        let levels: &[f64] = match round {
+        let levels: &[f64] = match round - self.began {
             0 => &[0.25, 0.5],
             1 => &[0.5, 1.0],
             _ => &[1.0],
         };
+        if self.given.is_empty() {
+            self.given = views.iter().map(|v| v.world_from_camera).collect();
+        }
         let filled = fill(context, &lit.color, &lit.weight);
         let deviation = self.hold_runaways(&context.config.tuning.pose);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
@@ -63,7 +76,8 @@ impl PoseRefiner {
             .map(|j| {
                 let image = images[j].as_ref()?;
                 let colors = without_own(field, lit, &filled, views, j);
-                let held = deviation.as_ref().filter(|_| self.held[j]);
+                let rotation_alone = self.is_ambiguous.then_some(&PoseDeviation::ROTATION_ALONE);
+                let held = rotation_alone.or(deviation.as_ref().filter(|_| self.held[j]));
                 let mut total: Option<Alignment> = None;
                 for &level in levels {
                     let mut view = views[j];
@@ -81,11 +95,13 @@ impl PoseRefiner {
             })
             .collect();
         let (mut squares, mut before, mut after, mut count) = (0.0, 0.0, 0.0, 0.0);
+        let mut moved_px = [Vec::new(), Vec::new()];
         for (j, alignment) in alignments.into_iter().enumerate() {
             let Some(a) = alignment else { continue };
             views[j].world_from_camera = a.pose;
             views[j].residual_px = a.step_px;
             self.moved[j] = a.moved;
+            moved_px.iter_mut().zip(a.moved_px).for_each(|(all, px)| all.push(px));
             squares += a.step_px * a.step_px;
             before += a.before;
             after += a.after;
@@ -100,7 +116,23 @@ impl PoseRefiner {
         self.last_residual = after / count;
         let rms = f64::sqrt(squares / count);
         self.history.push(rms);
+        // Steps from coarse pictures do not count yet.
+        let is_due = round >= MIN_ROUNDS && !self.is_ambiguous;
+        let moved_m = self.moved.iter().map(|m| m.fixed_rows::<3>(3).norm()).collect();
+        if is_due && is_ambiguous(moved_px, moved_m, &context.config.tuning.pose) {
+            self.restart(views);
+            self.began = round + 1;
+            return true;
+        }
         rms > context.config.tuning.pose.converged_px || round < MIN_ROUNDS
+    }
+
+    /// Back to the given poses; from here on they only turn.
+    fn restart(&mut self, views: &mut [RefinedView]) {
+        self.is_ambiguous = true;
+        self.moved.fill(Motion::zeros());
+        self.held.fill(false);
+        views.iter_mut().zip(&self.given).for_each(|(view, given)| view.world_from_camera = *given);
     }
 
     /// Marks keyframes that moved much farther than the others: what they show does not hold them. Returns the deviation of the
@@ -122,6 +154,19 @@ impl PoseRefiner {
             first_residual: self.first_residual,
             last_residual: self.last_residual,
         }
+    }
+}
+
+/// Translations that rotations mostly undo again, longer than errors of tracking are: far surfaces without relief tell the two apart
+/// by little, and what is found is an error of the colours. `px` has the keyframes' motions in pixels: all of it, and the
+/// translation's part; `translation_m` their translations.
+fn is_ambiguous([all, translation]: [Vec<f64>; 2], translation_m: Vec<f64>, tuning: &PoseTuning) -> bool {
+    match [all, translation, translation_m].map(median) {
+        [Some(all), Some(translation), Some(m)] => {
+            let undone = all > tuning.converged_px && translation > tuning.ambiguous_share * all;
+            undone && m > tuning.ambiguous_m
+        }
+        _ => false,
     }
 }
 
@@ -170,4 +215,23 @@ fn without_own(field: &LightField, lit: &LitColors, filled: &[Vec3], views: &[Re
         }
     }
     colors
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn translations_that_rotations_undo_are_ambiguous() {
+        let tuning = PoseTuning::default();
+        // Pixels in all, and by the translation alone.
+        let told = |all: &[f64], by_translation: &[f64], m: f64| {
+            is_ambiguous([all.to_vec(), by_translation.to_vec()], vec![m; all.len()], &tuning)
+        };
+        assert!(told(&[1.3, 2.1, 1.7], &[3.4, 4.5, 6.7], 0.036), "a closed room");
+        assert!(!told(&[0.9, 0.7, 1.2], &[3.1, 4.2, 2.9], 0.007), "one plain body");
+        assert!(!told(&[2.6, 2.7, 2.0], &[2.3, 2.5, 2.0], 0.04), "tracking that drifted");
+        assert!(!told(&[0.01; 3], &[0.1; 3], 0.04), "poses that were right");
+        assert!(!told(&[], &[], 0.0), "nothing was aligned");
+    }
 }
