@@ -179,14 +179,16 @@ fn is_in(network: &Ifv4Addr, ip: Ipv4Addr) -> bool {
 
 /// A query for the host's address.
 #[derive(Debug, PartialEq, Eq)]
-struct Asked {
+pub struct Asked {
+    /// Number of the query.
     id: u16,
     /// The answer is for the one who asks alone.
     unicast: bool,
 }
 
 /// What a packet asks about the host; `None` if nothing, or if the one who asks knows it.
-fn asked(packet: &[u8], host: &str, own: Ipv4Addr) -> Option<Asked> {
+#[must_use]
+pub fn asked(packet: &[u8], host: &str, own: Ipv4Addr) -> Option<Asked> {
     let packet = Packet::parse(packet).ok().filter(|p| !p.has_flags(PacketFlag::RESPONSE))?;
     let is_host = |name: &Name<'_>| name.to_string().trim_end_matches('.').eq_ignore_ascii_case(host);
     let question = packet.questions.iter().find(|q| {

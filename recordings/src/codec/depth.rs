@@ -236,17 +236,28 @@ impl Slot {
 }
 
 /// Decoding tables, kept from frame to frame to save their allocation.
-pub(crate) struct DepthDecoder {
+pub struct DepthDecoder {
     slots: Vec<[Slot; TOTAL as usize]>,
 }
 
+impl Default for DepthDecoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl DepthDecoder {
-    pub(crate) fn new() -> Self {
+    /// With tables for any image.
+    #[must_use]
+    pub fn new() -> Self {
         Self { slots: vec![[Slot::default(); TOTAL as usize]; CONTEXTS] }
     }
 
-    /// Decodes an image that [`DepthEncoder`] made.
-    pub(crate) fn decode(&mut self, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u16>, String> {
+    /// Decodes an image of `height` rows that the encoder made; `[y][x]` in the unit of the sensor.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn decode(&mut self, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u16>, String> {
         let mut input = Input(bytes);
         match input.take(1)?[0] {
             RAW if input.0.len() == 2 * width * height => {
