@@ -20,6 +20,7 @@ libfuzzer_sys::fuzz_target!(
             std::process::exit(2);
         };
         let _ = TARGET.set(target);
+        heap::spare_reports();
     },
     |data: &[u8]| {
         if let Some(target) = TARGET.get() {

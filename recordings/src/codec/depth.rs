@@ -263,7 +263,7 @@ impl DepthDecoder {
             RAW if input.0.len() == 2 * width * height => {
                 Ok(input.0.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())
             }
-            CODED => self.decode_indices(input, width, height),
+            CODED if width > 0 => self.decode_indices(input, width, height),
             _ => Err("depth in no known coding".into()),
         }
     }
@@ -467,6 +467,7 @@ mod tests {
             bytes[at] ^= 1 << bit;
             prop_assert_eq!(decoder.decode(&bytes, 40, 30).unwrap(), some_image());
             prop_assert!(decoder.decode(&bytes, 30, 41).is_err());
+            prop_assert!(decoder.decode(&bytes, 0, 30).is_err());
         }
 
         #[test]
