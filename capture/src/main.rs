@@ -1,14 +1,14 @@
-//! The `lumiscan` executable.
+//! The `lumiscan` executable. What reads bytes from outside is public, since `fuzz/` compiles this file as a library.
 
 mod child_process;
-mod cli;
+pub mod cli;
 mod commands;
 mod daemon;
 mod device_folder;
 mod estimator_process;
 mod failure;
 mod handoff;
-mod kinect;
+pub mod kinect;
 mod live_config;
 mod memory;
 mod orders;
@@ -16,8 +16,8 @@ mod pages;
 mod pipeline;
 mod publish;
 mod report;
-mod serve;
-mod simulator;
+pub mod serve;
+pub mod simulator;
 mod sources;
 mod status;
 mod stop;
@@ -27,7 +27,8 @@ use crate::report::Reporter;
 use clap::Parser;
 use std::process::ExitCode;
 
-fn main() -> ExitCode {
+/// Runs the command line.
+pub fn main() -> ExitCode {
     let cli = cli::Cli::parse();
     let reporter = Reporter::start(cli.verbose, cli.json);
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| commands::dispatch::run(&cli, &reporter)))

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 fn documents() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let folders =
-        [".", "capture", "estimator", "fusion", "recordings/data", "docs", "docs/experiments", "tools/studio"];
+        [".", "capture", "estimator", "fusion", "fuzz", "recordings/data", "docs", "docs/experiments", "tools/studio"];
     let entries = folders.iter().flat_map(|folder| std::fs::read_dir(root.join(folder)).unwrap());
     let files = entries.map(|e| e.unwrap().path());
     files.filter(|path| path.extension().is_some_and(|e| e == "md")).collect()

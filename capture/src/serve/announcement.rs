@@ -179,14 +179,17 @@ fn is_in(network: &Ifv4Addr, ip: Ipv4Addr) -> bool {
 
 /// A query for the host's address.
 #[derive(Debug, PartialEq, Eq)]
-struct Asked {
+pub struct Asked {
+    /// Number of the query.
     id: u16,
     /// The answer is for the one who asks alone.
     unicast: bool,
 }
 
 /// What a packet asks about the host; `None` if nothing, or if the one who asks knows it.
-fn asked(packet: &[u8], host: &str, own: Ipv4Addr) -> Option<Asked> {
+#[must_use]
+pub fn asked(packet: &[u8], host: &str, own: Ipv4Addr) -> Option<Asked> {
+    let packet = Some(packet).filter(|p| counts_fit(p))?;
     let packet = Packet::parse(packet).ok().filter(|p| !p.has_flags(PacketFlag::RESPONSE))?;
     let is_host = |name: &Name<'_>| name.to_string().trim_end_matches('.').eq_ignore_ascii_case(host);
     let question = packet.questions.iter().find(|q| {
@@ -198,6 +201,18 @@ fn asked(packet: &[u8], host: &str, own: Ipv4Addr) -> Option<Asked> {
         is_host(&a.name) && a.ttl >= REMEMBER_S / 2 && matches!(&a.rdata, RData::A(a) if a.address == u32::from(own))
     });
     (!known).then(|| Asked { id: packet.id(), unicast: question.unicast_response })
+}
+
+/// True if the packet is long enough for the questions and records that its header counts: the parser allocates for the count,
+/// which is megabytes for a packet of a few bytes.
+fn counts_fit(packet: &[u8]) -> bool {
+    const HEADER_BYTES: usize = 12;
+    const LEAST_QUESTION_BYTES: usize = 5;
+    const LEAST_RECORD_BYTES: usize = 11;
+    let Some((header, body)) = packet.split_at_checked(HEADER_BYTES) else { return false };
+    let count = |i: usize| usize::from(u16::from_be_bytes([header[i], header[i + 1]]));
+    let records = count(6) + count(8) + count(10);
+    count(4) * LEAST_QUESTION_BYTES + records * LEAST_RECORD_BYTES <= body.len()
 }
 
 /// The packet that tells the host's address; `legacy` is the id of a query by a resolver that knows nothing of multicast, which
@@ -256,6 +271,15 @@ mod tests {
         known.answers.push(ResourceRecord::new(Name::new_unchecked(HOST), CLASS::IN, 100, RData::A(A::from(OWN))));
         assert_eq!(heard(&known), None, "who asks knows it");
         assert_eq!(asked(&answer(HOST, OWN, None), HOST, OWN), None, "an answer is no query");
+    }
+
+    #[test]
+    fn a_packet_too_short_for_its_counts_is_not_parsed() {
+        let mut packet = query(HOST, TYPE::A, false).build_bytes_vec().unwrap();
+        assert!(counts_fit(&packet));
+        packet[10..12].fill(0xff);
+        assert!(!counts_fit(&packet), "65535 additional records");
+        assert!(!counts_fit(&packet[..11]));
     }
 
     #[test]

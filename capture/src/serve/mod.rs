@@ -9,10 +9,10 @@
 //! `capture/API.md` describes the interface. The page uses nothing else.
 
 mod access;
-mod announcement;
-mod api;
+pub mod announcement;
+pub mod api;
 mod context;
-mod http;
+pub mod http;
 mod jobs;
 mod light;
 pub mod live;

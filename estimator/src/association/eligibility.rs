@@ -2,6 +2,7 @@
 
 use crate::association::context::AssociationContext;
 use crate::mesh::raster::{MISS, Raster};
+use crate::numerics::rotation::rotate;
 use firmware_config::EstimatorConfig;
 use glam::{Quat, Vec3};
 
@@ -94,7 +95,7 @@ impl ProjectedVertex {
                 // Along the surface a pixel is longer by 1/cosine.
                 let step = self.footprint * (dx.abs().max(dy.abs()) as f32 + 1.0) / self.cosine;
                 let limit = rules.edge_distance * self.spacing.max(step * 0.5);
-                let normal = *camera_from_world * context.triangle_normals[triangle as usize];
+                let normal = rotate(*camera_from_world, context.triangle_normals[triangle as usize]);
                 if offset.length() > limit.max(1.5 * step) || normal.dot(self.normal) < rules.edge_cosine {
                     return false;
                 }

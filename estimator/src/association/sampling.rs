@@ -5,6 +5,7 @@ use crate::association::eligibility::{EligibilityRules, ProjectedVertex};
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::Observation;
 use crate::mesh::raster::{Raster, camera_positions};
+use crate::numerics::rotation::rotate;
 use glam::Vec3;
 use recordings::types::Pose;
 
@@ -50,7 +51,7 @@ pub fn observe(
         if !(u > 0.0 && v > 0.0 && u < f64::from(k.width) && v < f64::from(k.height)) {
             continue;
         }
-        let normal = camera_from_world * mesh.normals[i];
+        let normal = rotate(camera_from_world, mesh.normals[i]);
         let cosine = -normal.dot(p.as_vec3().normalize_or_zero());
         let footprint = (p.z / focal) as f32;
         let spacing = context.spacing[i];

@@ -1,7 +1,8 @@
 //! Mathematics independent of scenes: real spherical harmonics ([`sh`]), robust statistics ([`robust`]), seeded random
-//! directions ([`random`]) and CIELAB ([`cielab`]).
+//! directions ([`random`]), rotations ([`rotation`]) and CIELAB ([`cielab`]).
 
 pub mod cielab;
 pub mod random;
 pub mod robust;
+pub mod rotation;
 pub mod sh;

@@ -236,23 +236,34 @@ impl Slot {
 }
 
 /// Decoding tables, kept from frame to frame to save their allocation.
-pub(crate) struct DepthDecoder {
+pub struct DepthDecoder {
     slots: Vec<[Slot; TOTAL as usize]>,
 }
 
+impl Default for DepthDecoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl DepthDecoder {
-    pub(crate) fn new() -> Self {
+    /// With tables for any image.
+    #[must_use]
+    pub fn new() -> Self {
         Self { slots: vec![[Slot::default(); TOTAL as usize]; CONTEXTS] }
     }
 
-    /// Decodes an image that [`DepthEncoder`] made.
-    pub(crate) fn decode(&mut self, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u16>, String> {
+    /// Decodes an image of `height` rows that the encoder made; `[y][x]` in the unit of the sensor.
+    ///
+    /// # Errors
+    /// What is wrong with the bytes.
+    pub fn decode(&mut self, bytes: &[u8], width: usize, height: usize) -> Result<Vec<u16>, String> {
         let mut input = Input(bytes);
         match input.take(1)?[0] {
             RAW if input.0.len() == 2 * width * height => {
                 Ok(input.0.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())
             }
-            CODED => self.decode_indices(input, width, height),
+            CODED if width > 0 => self.decode_indices(input, width, height),
             _ => Err("depth in no known coding".into()),
         }
     }
@@ -456,6 +467,7 @@ mod tests {
             bytes[at] ^= 1 << bit;
             prop_assert_eq!(decoder.decode(&bytes, 40, 30).unwrap(), some_image());
             prop_assert!(decoder.decode(&bytes, 30, 41).is_err());
+            prop_assert!(decoder.decode(&bytes, 0, 30).is_err());
         }
 
         #[test]

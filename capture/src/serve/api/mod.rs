@@ -3,7 +3,7 @@
 pub mod device;
 pub mod files;
 pub mod live;
-mod ranges;
+pub mod ranges;
 pub mod render;
 pub mod scan;
 pub mod scans;
