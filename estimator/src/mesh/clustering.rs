@@ -81,9 +81,9 @@ pub fn clustered(mesh: &Mesh, cell: f32) -> Mesh {
         if pinched.is_empty() {
             break;
         }
-        for i in 0..count {
-            if pinched.binary_search(&patch_of[i]).is_ok() {
-                patch_of[i] = i as u32;
+        for (i, patch) in (0..).zip(&mut patch_of) {
+            if pinched.binary_search(patch).is_ok() {
+                *patch = i;
             }
         }
     }

@@ -73,9 +73,12 @@ fn remesh(mesh: &Mesh, target: f32, wanted: f64, tuning: &MeshTuning) -> Mesh {
         surface.split_to(((1.0 - tuning.count_tolerance) * wanted) as usize);
         surface.flip_edges();
     };
-    let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
-    let first = || (0..tuning.remesh_rounds.min(1)).for_each(|_| reshape(&mut surface));
-    let (scene, ()) = rayon::join(|| RayScene::new(mesh), first);
+    let first = || {
+        let mut surface = Surface::new(mesh.positions.clone(), &mesh.triangles);
+        (0..tuning.remesh_rounds.min(1)).for_each(|_| reshape(&mut surface));
+        surface
+    };
+    let (scene, mut surface) = rayon::join(|| RayScene::new(mesh), first);
     for round in 0..tuning.remesh_rounds {
         if round > 0 {
             reshape(&mut surface);
