@@ -6,6 +6,8 @@ use smallvec::SmallVec;
 
 /// Passes over all short edges; a pass at least halves a fan of needles.
 const COLLAPSE_PASSES: usize = 8;
+/// Edges that are checked at once before some of them collapse.
+const BATCH: usize = 4096;
 /// Smallest cosine between two triangles whose common edge may be flipped.
 const FLAT_COSINE: f32 = 0.9;
 /// Sum of the cosines of opposite angles below which an edge is not Delaunay: exactly 0 is 180° together.
@@ -93,12 +95,23 @@ impl Surface {
     /// Collapses edges shorter than `shortest` if that keeps the topology, flips no triangle and makes no edge longer than
     /// `longest`.
     pub fn collapse_short(&mut self, shortest: f32, longest: f32) {
-        for _ in 0..COLLAPSE_PASSES {
+        let mut changed = vec![0; self.positions.len()];
+        for pass in 1..=COLLAPSE_PASSES {
             let mut collapsed = false;
             for t in 0..self.triangles.len() {
                 let Some(c) = self.triangles[t] else { continue };
-                let mut edges = [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])].into_iter();
-                collapsed |= edges.any(|(a, b)| self.length(a, b) < shortest && self.collapse(a, b, longest));
+                // What failed before fails again while its surroundings are the same.
+                if c.iter().all(|&c| changed[c as usize] + 1 < pass) {
+                    continue;
+                }
+                for (a, b) in [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])] {
+                    let anew = changed[a as usize].max(changed[b as usize]) + 1 >= pass;
+                    if anew && self.length(a, b) < shortest && self.collapse(a, b, longest) {
+                        self.mark(a, pass, &mut changed);
+                        collapsed = true;
+                        break;
+                    }
+                }
             }
             if !collapsed {
                 break;
@@ -106,15 +119,22 @@ impl Surface {
         }
     }
 
+    /// Sets the mark of a vertex and its neighbours, whose triangles a collapse has changed.
+    fn mark(&self, a: u32, pass: usize, changed: &mut [usize]) {
+        let corners = self.rings[a as usize].iter().filter_map(|&t| self.triangles[t as usize]).flatten();
+        corners.for_each(|c| changed[c as usize] = pass);
+    }
+
     /// Number of vertices with a triangle.
     fn vertices(&self) -> usize {
         self.rings.iter().filter(|r| !r.is_empty()).count()
     }
 
-    /// Every edge once, with its length, shortest first.
-    fn edges_by_length(&self) -> Vec<(f32, u32, u32)> {
-        let sides = self.triangles.iter().flatten().flat_map(|c| [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])]);
-        let mut edges: Vec<_> = sides.map(|(a, b)| (self.length(a, b), a.min(b), a.max(b))).collect();
+    /// Every edge once for which `keep` holds, with its length, shortest first.
+    fn edges_by_length(&self, keep: impl Fn(u32, u32) -> bool + Sync) -> Vec<(f32, u32, u32)> {
+        let sides = |c: &[u32; 3]| [(c[0], c[1]), (c[1], c[2]), (c[2], c[0])].map(|(a, b)| (a.min(b), a.max(b)));
+        let kept = self.triangles.par_iter().flatten_iter().flat_map_iter(sides).filter(|&(a, b)| keep(a, b));
+        let mut edges: Vec<_> = kept.map(|(a, b)| (self.length(a, b), a, b)).collect();
         edges.par_sort_unstable_by(|x, y| x.0.total_cmp(&y.0).then((x.1, x.2).cmp(&(y.1, y.2))));
         edges.dedup();
         edges
@@ -124,14 +144,28 @@ impl Surface {
     pub fn collapse_to(&mut self, most: usize, longest: f32) {
         let mut left = self.vertices();
         let mut before = usize::MAX;
+        let mut changed = vec![0; self.positions.len()];
+        let mut pass = 1;
         while left > most && left < before {
             before = left;
-            for (length, a, b) in self.edges_by_length() {
+            let edges = self.edges_by_length(|a, b| changed[a as usize].max(changed[b as usize]) + 1 >= pass);
+            // What a batch can collapse is looked up by all threads, and again where an earlier collapse changed the surroundings.
+            for batch in edges.chunks(BATCH) {
                 // Earlier collapses may have moved or removed an end.
-                if left > most && self.length(a, b) <= length && self.collapse(a, b, longest) {
-                    left -= 1;
+                let kept = |&&(length, a, b): &&(f32, u32, u32)| self.length(a, b) <= length;
+                let possible = |&&(_, a, b): &&(f32, u32, u32)| self.collapsed(a, b, longest).is_some();
+                let edges: Vec<_> = batch.par_iter().filter(kept).filter(possible).copied().collect();
+                for (length, a, b) in edges {
+                    if left > most && self.length(a, b) <= length && self.collapse(a, b, longest) {
+                        self.mark(a, pass, &mut changed);
+                        left -= 1;
+                    }
+                }
+                if left <= most {
+                    return;
                 }
             }
+            pass += 1;
         }
     }
 
@@ -139,23 +173,24 @@ impl Surface {
     pub fn split_to(&mut self, least: usize) {
         let missing = least.saturating_sub(self.vertices());
         if missing > 0 {
-            for &(_, a, b) in self.edges_by_length().iter().rev().take(missing) {
+            for &(_, a, b) in self.edges_by_length(|_, _| true).iter().rev().take(missing) {
                 self.split(a, b);
             }
         }
     }
 
-    fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
+    /// Where the vertex stands that an edge collapses to, `None` if it may not collapse.
+    fn collapsed(&self, a: u32, b: u32, longest: f32) -> Option<Vec3> {
         let shared = self.shared(a, b);
         // An edge of three triangles.
         if shared.is_empty() || shared.len() > 2 {
-            return false;
+            return None;
         }
         let (mut na, mut nb) = (self.corners(a), self.corners(b));
         let (on_a, on_b) = (is_open(&na), is_open(&nb));
         // Two borders that would be pinched together.
         if on_a && on_b && shared.len() == 2 {
-            return false;
+            return None;
         }
         let (pa, pb) = (self.positions[a as usize], self.positions[b as usize]);
         // Border vertices do not move.
@@ -168,10 +203,10 @@ impl Surface {
         nb.dedup();
         let far = |n: &[u32]| n.iter().any(|&k| self.positions[k as usize].distance(target) > longest);
         if far(&na) || far(&nb) || in_both(&na, &nb) != shared.len() {
-            return false;
+            return None;
         }
         if on_a && on_b && !(self.border_is_straight(a, b, longest) && self.border_is_straight(b, a, longest)) {
-            return false;
+            return None;
         }
         for &(v, other) in &[(a, b), (b, a)] {
             for &t in &self.rings[v as usize] {
@@ -182,11 +217,16 @@ impl Surface {
                 let old = corners.map(|c| self.positions[c as usize]);
                 let new = corners.map(|c| if c == v { target } else { self.positions[c as usize] });
                 if !keeps_side(old, new) {
-                    return false;
+                    return None;
                 }
             }
         }
-        for t in shared {
+        Some(target)
+    }
+
+    fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
+        let Some(target) = self.collapsed(a, b, longest) else { return false };
+        for t in self.shared(a, b) {
             self.remove(t);
         }
         let moved = std::mem::take(&mut self.rings[b as usize]);

@@ -4,7 +4,7 @@ use crate::api::EstimateError;
 use crate::association::response;
 use crate::association::{self, Association, AssociationContext, AssociationEffort};
 use crate::factorisation::{Colors, KnownAlbedo};
-use crate::mesh::regularise;
+use crate::mesh::{clustering, regularise};
 use crate::rays::RayScene;
 use crate::segmentation;
 use crate::specular::refit::Surface;
@@ -62,7 +62,7 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
     progress.stage("mesh", 0.0);
     let mesh = if plan.workload().vertices < Run::size(scan, config).vertices as usize {
-        regularise::coarsened(&scan.mesh, plan.workload().vertices)
+        clustering::coarsened(&scan.mesh, plan.workload().vertices)
     } else {
         regularise::regularise(&scan.mesh, config, scan.source)
     };

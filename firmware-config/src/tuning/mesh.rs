@@ -20,9 +20,9 @@ section! {
         /// A mesh with a smaller share of edges outside 0.5 … 1.5 target edges keeps its vertices. Source: measured on scans.
         irregular_share: f64 = 0.02, [0.0..=1.0], "", "";
         /// A mesh with more than this multiple of the requested vertices is clustered before it is remeshed, in far less time and memory. Source: measured on scans.
-        cluster_above: f64 = 6.0, [1.0..=1000.0], "", "";
-        /// Multiple of the requested vertices that clustering leaves; clusters may tear closed surfaces, so remeshing does the rest. Source: measured on scans.
-        cluster_to: f64 = 2.0, [1.0..=1000.0], "", "";
+        cluster_above: f64 = 3.0, [1.0..=1000.0], "", "";
+        /// Multiple of the requested vertices that clustering aims at; the rest is left to remeshing, which keeps more of the shape. Source: measured on scans.
+        cluster_to: f64 = 2.5, [1.0..=1000.0], "", "";
         /// The mesh may grow to this multiple of its vertices. Source: memory plan.
         max_growth: u32 = 4, [1..=64], "", "";
     }
