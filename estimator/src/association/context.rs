@@ -28,6 +28,8 @@ pub struct AssociationContext<'a> {
     pub table: [f32; 256],
     /// 8-bit values from here on are clipped.
     pub clipped: u8,
+    /// The given poses are those of the tracking that the mesh was fused with; false until set.
+    pub poses_are_tracked: bool,
     /// Settings.
     pub config: &'a EstimatorConfig,
 }
@@ -47,6 +49,7 @@ impl<'a> AssociationContext<'a> {
             near: f64::from(median_edge) * NEAR_EDGES,
             table: response.linear_table(),
             clipped: config.clipped_from.min(255) as u8,
+            poses_are_tracked: false,
             config,
         }
     }

@@ -11,7 +11,7 @@ use crate::specular::refit::Surface;
 use crate::stages::reference::{Shown, reference};
 use crate::stages::run::Run;
 use recordings::decision::{Decision, Warning};
-use recordings::scan::Scan;
+use recordings::scan::{Scan, ScanSource};
 use recordings::types::Mesh;
 
 /// A scan, ready for the factorisation.
@@ -71,7 +71,8 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
         return Err(EstimateError::Unusable("the mesh has no triangle".into()));
     }
     plan.mesh_done(mesh.positions.len());
-    let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, config);
+    let mut context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, config);
+    context.poses_are_tracked = scan.source == ScanSource::Fusion;
     let effort = AssociationEffort {
         rounds: plan.max_pose_rounds(),
         stride: plan.workload().keyframe_stride,

@@ -19,10 +19,10 @@ section! {
         deviation_keyframes: u32 = 6, [2..=1000000], "", "";
         /// A keyframe whose motion is longer than this many robust deviations of all motions ran away: the prior holds it with that deviation from then on. Source: measured on the rendered scenes.
         runaway_deviations: f64 = 8.0, [0.1..=1e6], "σ", "";
-        /// Where translations alone would move the pictures by this many times what the whole motions move them, and by more than `ambiguous_m`, pictures do not tell the two apart: the given translations stay. Source: measured on generated scenes.
+        /// Where translations alone would move the pictures by this many times what the whole motions move them, and those by more than `ambiguous_px`, pictures do not tell the two apart: given translations stay, unless they were tracked. Source: measured on generated scenes.
         ambiguous_share: f64 = 1.25, [1.0..=1e6], "", "";
-        /// Median translation of the keyframes above which it is no error of tracking. Source: recordings reach 25 mm, generated closed rooms begin at 34 mm.
-        ambiguous_m: f64 = 0.03, [0.0..=10.0], "m", "";
+        /// See `ambiguous_share`. Source: generated closed rooms begin at 1.8 pixels, plain bodies end at 1.2.
+        ambiguous_px: f64 = 1.5, [0.0..=1e6], "px", "";
         /// Rings of unseen vertices that take their neighbours' lit colour in the predicted image. Source: measured on the rendered scenes.
         fill_rings: u32 = 8, [0..=1000], "edges", "";
         /// Smallest number of edge pixels with which a keyframe is aligned. Source: far above the six unknowns.
