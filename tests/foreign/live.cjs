@@ -42,8 +42,7 @@ async function accessible(tab, name) {
   check(new URL(tab.url()).pathname === "/" && !tab.url().includes("code"), "the code stays in the address: " + tab.url());
   await state("ready");
   await accessible(tab, "ready");
-  const shown = () => tab.evaluate(() => Number(document.documentElement.dataset.surfels ?? 0));
-  check(await shown() === 0, "a surface before there is a scan");
+  check(await tab.evaluate(() => Number(document.documentElement.dataset.surfels ?? 0) === 0), "a surface before there is a scan");
   await tab.click("#start");
   await state("scanning");
   await until("pictures move", () => Number(document.documentElement.dataset.picture) > 8);

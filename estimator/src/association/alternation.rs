@@ -57,7 +57,7 @@ pub fn associate_within(
         dark_below: config.dark_below as f32,
         tuning: &config.tuning.exposure,
     };
-    let mut refiner = PoseRefiner::new(keyframes.len());
+    let mut refiner = PoseRefiner::new(keyframes.iter().map(|k| k.world_from_camera).collect());
     for round in 0..rounds {
         progress.stage("association", f64::from(round) / f64::from(rounds));
         if !refine || !(effort.go_on)(round) {

@@ -20,14 +20,12 @@ const MIN_REST: f32 = 0.05;
 
 /// Refines all poses, round by round.
 pub struct PoseRefiner {
-    /// Given poses, `[keyframe]`; none before the first round.
+    /// Given poses, `[keyframe]`.
     given: Vec<Pose>,
     /// Sum of the steps since the given pose, `[keyframe]`.
     moved: Vec<Motion>,
-    /// The pictures do not tell translation from rotation: the given translations stay.
-    is_ambiguous: bool,
-    /// The round from which refinement began, or began again.
-    began: u32,
+    /// The round from which on the given translations stay, since the pictures do not tell them from rotations.
+    turns_from: Option<u32>,
     /// The keyframe ran away and is held by the others' deviation, `[keyframe]`.
     held: Vec<bool>,
     /// RMS step in pixels, `[round]`.
@@ -38,12 +36,12 @@ pub struct PoseRefiner {
 
 impl PoseRefiner {
     /// Starts at the given poses.
-    pub fn new(keyframes: usize) -> Self {
+    pub fn new(given: Vec<Pose>) -> Self {
+        let keyframes = given.len();
         Self {
-            given: vec![],
+            given,
             moved: vec![Motion::zeros(); keyframes],
-            is_ambiguous: false,
-            began: 0,
+            turns_from: None,
             held: vec![false; keyframes],
             history: vec![],
             first_residual: 0.0,
@@ -61,14 +59,11 @@ impl PoseRefiner {
         views: &mut [RefinedView],
         round: u32,
     ) -> bool {
-        let levels: &[f64] = match round - self.began {
+        let levels: &[f64] = match round - self.turns_from.unwrap_or(0) {
             0 => &[0.25, 0.5],
             1 => &[0.5, 1.0],
             _ => &[1.0],
         };
-        if self.given.is_empty() {
-            self.given = views.iter().map(|v| v.world_from_camera).collect();
-        }
         let filled = fill(context, &lit.color, &lit.weight);
         let deviation = self.hold_runaways(&context.config.tuning.pose);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
@@ -76,7 +71,7 @@ impl PoseRefiner {
             .map(|j| {
                 let image = images[j].as_ref()?;
                 let colors = without_own(field, lit, &filled, views, j);
-                let rotation_alone = self.is_ambiguous.then_some(&PoseDeviation::ROTATION_ALONE);
+                let rotation_alone = self.turns_from.map(|_| &PoseDeviation::ROTATION_ALONE);
                 let held = rotation_alone.or(deviation.as_ref().filter(|_| self.held[j]));
                 let mut total: Option<Alignment> = None;
                 for &level in levels {
@@ -117,18 +112,17 @@ impl PoseRefiner {
         let rms = f64::sqrt(squares / count);
         self.history.push(rms);
         // Steps from coarse pictures do not count yet.
-        let is_due = round >= MIN_ROUNDS && !self.is_ambiguous && !context.poses_are_tracked;
+        let is_due = round >= MIN_ROUNDS && self.turns_from.is_none() && !context.poses_are_tracked;
         if is_due && is_ambiguous(moved_px, &context.config.tuning.pose) {
-            self.restart(views);
-            self.began = round + 1;
+            self.restart(views, round + 1);
             return true;
         }
         rms > context.config.tuning.pose.converged_px || round < MIN_ROUNDS
     }
 
-    /// Back to the given poses; from here on they only turn.
-    fn restart(&mut self, views: &mut [RefinedView]) {
-        self.is_ambiguous = true;
+    /// Back to the given poses, which from this round on only turn.
+    fn restart(&mut self, views: &mut [RefinedView], round: u32) {
+        self.turns_from = Some(round);
         self.moved.fill(Motion::zeros());
         self.held.fill(false);
         views.iter_mut().zip(&self.given).for_each(|(view, given)| view.world_from_camera = *given);

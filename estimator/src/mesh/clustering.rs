@@ -1,6 +1,6 @@
 //! Fewer vertices by clustering: much faster than remeshing, less regular.
 
-use crate::mesh::repair::{area, compacted, edge_for, repaired, usable_triangles};
+use crate::mesh::repair::{area, edge_for, repaired, usable};
 use crate::mesh::unions::Unions;
 use glam::{IVec3, Vec3, Vec4};
 use rayon::prelude::*;
@@ -93,9 +93,7 @@ pub fn clustered(mesh: &Mesh, cell: f32) -> Mesh {
     }
     let positions = patches.iter().map(|p| p.position / p.placed.max(1.0)).collect();
     let normals = patches.iter().map(|p| p.normal.normalize_or(Vec3::Z)).collect();
-    let raw = Mesh { positions, normals, triangles: between(mesh, &patch_of) };
-    let triangles = usable_triangles(&raw);
-    compacted(&raw, triangles)
+    usable(&Mesh { positions, normals, triangles: between(mesh, &patch_of) })
 }
 
 /// Triangles between three patches.

@@ -2,9 +2,7 @@
 //! length (isotropic remeshing after Botsch and Kobbelt 2004).
 
 use crate::mesh::clustering::clustered;
-use crate::mesh::repair::{
-    area, compacted, edge_for, edge_lengths, repaired, usable_triangles, welded, without_small_components,
-};
+use crate::mesh::repair::{area, edge_for, edge_lengths, repaired, usable, welded, without_small_components};
 use crate::mesh::surface::Surface;
 use crate::numerics::robust::median;
 use crate::rays::{Hit, RayScene};
@@ -105,11 +103,8 @@ fn remesh(mesh: &Mesh, target: f32, wanted: f64, tuning: &MeshTuning) -> Mesh {
             if input.dot(*n) > 0.5 { input.normalize() } else { *n }
         })
         .collect::<Vec<Vec3>>();
-
     let triangles = surface.triangles();
-    let raw = Mesh { positions: surface.positions, normals, triangles };
-    let triangles = usable_triangles(&raw);
-    compacted(&raw, triangles)
+    usable(&Mesh { positions: surface.positions, normals, triangles })
 }
 
 /// Number of vertices that cover an area with edges of a length.

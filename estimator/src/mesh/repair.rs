@@ -20,6 +20,11 @@ pub fn repaired(mesh: &Mesh) -> Mesh {
     Mesh { positions, normals, triangles }
 }
 
+/// The usable triangles and their vertices.
+pub fn usable(mesh: &Mesh) -> Mesh {
+    compacted(mesh, usable_triangles(mesh))
+}
+
 /// Triangles with three different, finite corners and a positive area, each set of corners once.
 pub fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
     let corner = |i: u32| mesh.positions.get(i as usize).copied().filter(|p| p.is_finite());

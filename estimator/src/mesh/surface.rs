@@ -179,8 +179,8 @@ impl Surface {
         }
     }
 
-    /// Where the vertex stands that an edge collapses to, `None` if it may not collapse.
-    fn collapsed(&self, a: u32, b: u32, longest: f32) -> Option<Vec3> {
+    /// Where the vertex stands that an edge collapses to, and the triangles that vanish; `None` if it may not collapse.
+    fn collapsed(&self, a: u32, b: u32, longest: f32) -> Option<(Vec3, SmallVec<[u32; 4]>)> {
         let shared = self.shared(a, b);
         // An edge of three triangles.
         if shared.is_empty() || shared.len() > 2 {
@@ -221,12 +221,12 @@ impl Surface {
                 }
             }
         }
-        Some(target)
+        Some((target, shared))
     }
 
     fn collapse(&mut self, a: u32, b: u32, longest: f32) -> bool {
-        let Some(target) = self.collapsed(a, b, longest) else { return false };
-        for t in self.shared(a, b) {
+        let Some((target, shared)) = self.collapsed(a, b, longest) else { return false };
+        for t in shared {
             self.remove(t);
         }
         let moved = std::mem::take(&mut self.rings[b as usize]);
