@@ -20,6 +20,11 @@ pub const MIN_SCALE: f64 = 1e-3;
 pub type Motion = SVector<f64, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
 
+/// The pose at the end of a motion.
+pub fn pose_of(motion: &Motion) -> Pose {
+    Pose::exp(DVec3::new(motion[0], motion[1], motion[2]), DVec3::new(motion[3], motion[4], motion[5]))
+}
+
 /// The result of one keyframe at one pyramid level.
 pub struct Alignment {
     /// `world_from_camera`.
@@ -68,7 +73,7 @@ pub fn align(
     let mut best = (before, delta, moved_now);
     for _ in 0..tuning.gauss_newton_steps {
         let (step, step_px) = problem.gauss_newton_step(&residuals, &delta, &moved_now)?;
-        delta = Pose::exp(DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5])).compose(&delta);
+        delta = pose_of(&step).compose(&delta);
         moved_now += step;
         if step_px < tuning.settled_px {
             break;
@@ -240,9 +245,8 @@ impl Problem<'_> {
     /// RMS motion in pixels at full resolution of the edge pixels, to the first order, under the total motion and under its
     /// translation alone.
     fn moved_px(&self, moved: &Motion, level: f64) -> [f64; 2] {
-        let translation = DVec3::new(moved[3], moved[4], moved[5]);
-        [DVec3::new(moved[0], moved[1], moved[2]), DVec3::ZERO]
-            .map(|rotation| self.rms_shift_px(&Pose::exp(rotation, translation)) / level)
+        let translation = Motion::from_fn(|r, _| if r < 3 { 0.0 } else { moved[r] });
+        [*moved, translation].map(|motion| self.rms_shift_px(&pose_of(&motion)) / level)
     }
 
     /// RMS motion in pixels of the edge pixels under `delta`.

@@ -1,6 +1,6 @@
 //! A camera that moves while the rows of its picture are read (rolling shutter).
 
-use crate::association::alignment::Motion;
+use crate::association::alignment::{Motion, pose_of};
 use glam::{DVec3, Vec3};
 use recordings::types::{Intrinsics, Mesh, Pose};
 
@@ -65,7 +65,6 @@ impl MovingCamera {
     /// The camera after a step: of the pose at the middle row, and of the sweep.
     #[must_use]
     pub fn moved(&self, step: &Motion, sweep: &Motion) -> Self {
-        let by = Pose::exp(DVec3::new(step[0], step[1], step[2]), DVec3::new(step[3], step[4], step[5]));
-        Self { camera_from_world: by.compose(&self.camera_from_world), sweep: self.sweep + sweep, ..*self }
+        Self { camera_from_world: pose_of(step).compose(&self.camera_from_world), sweep: self.sweep + sweep, ..*self }
     }
 }
