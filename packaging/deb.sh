@@ -9,8 +9,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 usage() { sed -n '4s/^# *//p' "$0" >&2; exit 2; }
 case "${1:-}" in
-amd64) target=x86_64-unknown-linux-gnu strip=x86_64-linux-gnu-strip ;;
-arm64) target=aarch64-unknown-linux-gnu strip=aarch64-linux-gnu-strip ;;
+amd64) target=x86_64-unknown-linux-gnu tools=x86_64-linux-gnu ;;
+arm64) target=aarch64-unknown-linux-gnu tools=aarch64-linux-gnu ;;
 *) usage ;;
 esac
 arch=$1 executable=
@@ -21,7 +21,8 @@ fi
 
 SOURCE_DATE_EPOCH=$(git log -1 --format=%ct)
 LUMISCAN_COMMIT=$(git rev-parse --short=12 HEAD)
-export SOURCE_DATE_EPOCH LUMISCAN_COMMIT
+# Sorted the same everywhere.
+export SOURCE_DATE_EPOCH LUMISCAN_COMMIT LC_ALL=C
 umask 022
 out=$PWD/target/debian
 mkdir -p "$out"
@@ -40,7 +41,7 @@ chmod 755 "$root"
 put() { install -D -m "$1" "$2" "$root/$3"; }
 appliance=firmware-config/appliance
 put 755 "$executable" usr/bin/lumiscan
-"$strip" --strip-all "$root/usr/bin/lumiscan"
+$tools-strip --strip-all "$root/usr/bin/lumiscan"
 put 644 $appliance/default.toml etc/lumiscan/default.toml
 for unit in lumiscan.service lumiscan-stick@.service lumiscan-handoff.service lumiscan-handoff.timer lumiscan-handoff.path; do
     put 644 $appliance/$unit lib/systemd/system/$unit
@@ -69,14 +70,18 @@ rm -r "$manual"
 version=$(sed -n '/^\[workspace.package\]/,/^$/s/^version = "\(.*\)"/\1/p' Cargo.toml)
 # Later commits are upgrades.
 version="$version+$(date -u -d "@$SOURCE_DATE_EPOCH" +%Y%m%d%H%M%S).$LUMISCAN_COMMIT"
+# The newest version of a symbol that the executable asks for.
+libc=$($tools-objdump -T "$root/usr/bin/lumiscan" | grep -o 'GLIBC_[0-9.]*' | sort -V | tail -1)
+# In KiB, as dpkg-gencontrol counts: folders as one, whatever the file system takes for them.
+size=$(find "$root" -printf '%y %s\n' | awk '{ n += $1 == "f" ? int(($2 + 1023) / 1024) : 1 } END { print n }')
 mkdir "$root/DEBIAN"
 cat >"$root/DEBIAN/control" <<CONTROL
 Package: lumiscan
 Version: $version
 Architecture: $arch
 Maintainer: the authors of Lumiscan <lumiscan@localhost>
-Installed-Size: $(du -k -s --apparent-size "$root" | cut -f1)
-Depends: libc6 (>= 2.34), libgcc-s1, systemd (>= 247)
+Installed-Size: $size
+Depends: libc6 (>= ${libc#GLIBC_}), libgcc-s1, systemd (>= 247)
 Suggests: rsync, openssh-client, ffmpeg
 Section: graphics
 Priority: optional

@@ -82,7 +82,7 @@ impl PoseRefiner {
                         moved = a.moved;
                     }
                     if let Some(next) = align(context, image, &colors, &view, &moved, held, level) {
-                        let step_px = total.as_ref().map_or(0.0, |t| t.step_px).hypot(next.step_px);
+                        let step_px = libm::hypot(total.as_ref().map_or(0.0, |t| t.step_px), next.step_px);
                         total = Some(Alignment { step_px, ..next });
                     }
                 }

@@ -1,12 +1,23 @@
-//! Rotation of vectors, in the same operations on every architecture.
+//! Rotations, in the same operations on every architecture. The operators of `glam` fuse multiplications and additions on aarch64.
 
 use glam::{Quat, Vec3};
 
-/// `v` turned by the unit quaternion `q`. The operator of `glam` fuses multiplications and additions on aarch64.
+/// `v` turned by the unit quaternion `q`.
 #[must_use]
 pub fn rotate(q: Quat, v: Vec3) -> Vec3 {
     let axis = Vec3::new(q.x, q.y, q.z);
     v * (q.w * q.w - axis.dot(axis)) + axis * (v.dot(axis) * 2.0) + axis.cross(v) * (q.w * 2.0)
+}
+
+/// The rotation `b`, then `a`.
+#[must_use]
+pub fn product(a: Quat, b: Quat) -> Quat {
+    Quat::from_xyzw(
+        (a.w * b.x + a.x * b.w) + (a.y * b.z - a.z * b.y),
+        (a.w * b.y - a.x * b.z) + (a.y * b.w + a.z * b.x),
+        (a.w * b.z + a.x * b.y) + (a.z * b.w - a.y * b.x),
+        (a.w * b.w - a.x * b.x) - (a.y * b.y + a.z * b.z),
+    )
 }
 
 #[cfg(test)]
@@ -35,5 +46,13 @@ mod tests {
             }
         }
         assert_eq!(sum, SUM);
+    }
+
+    #[test]
+    fn a_product_turns_by_the_one_and_then_the_other() {
+        let (a, b) = (Quat::from_rotation_x(0.7), Quat::from_rotation_z(-1.9) * Quat::from_rotation_y(0.4));
+        let v = Vec3::new(0.3, -0.8, 0.5);
+        assert!(rotate(product(a, b), v).distance(rotate(a, rotate(b, v))) < 1e-6);
+        assert_eq!(product(a, b).to_array().map(f32::to_bits), (a * b).to_array().map(f32::to_bits));
     }
 }

@@ -1,6 +1,7 @@
 //! The mesh seen from a keyframe, coloured by anything that vertices have.
 
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
+use crate::numerics::rotation::{product, rotate};
 use crate::numerics::sh;
 use crate::rays::RayScene;
 use crate::render::lighting::local_sources::LocalSources;
@@ -131,10 +132,10 @@ impl<'a> KeyframeView<'a> {
         let origin = scene.offset_origin(position, normal);
         // A turn of its own for every vertex trades bands of error for grain.
         let turn = Quat::from_rotation_z(i as f32 * 2.399_963);
-        let to_world = Quat::from_rotation_arc(Vec3::Z, normal) * turn;
+        let to_world = product(Quat::from_rotation_arc(Vec3::Z, normal), turn);
         let mut irradiance = Vec3::ZERO;
         for d in directions {
-            let d = to_world * *d;
+            let d = rotate(to_world, *d);
             let hit = if r.transfer == TransferLevel::Diffuse { None } else { scene.closest_hit(origin, d) };
             irradiance += match hit {
                 None => self.light(d),

@@ -1,6 +1,7 @@
 //! A grey, a silver and a mirror ball in the recovered light, seen as the keyframe sees: light at a glance. They stand in
 //! the middle of the scene, where lamps shine on them.
 
+use crate::numerics::rotation::rotate;
 use crate::numerics::sh;
 use crate::preview::keyframe_view::Panel;
 use crate::preview::lamps::SeenLamp;
@@ -34,7 +35,7 @@ pub fn panel(
         coefficients.iter().enumerate().map(|(k, c)| c.map(|x| x * GREY * sh::cosine_factor(sh::band(k)))).collect();
     let radius = (width as f32 / 6.0).min(height as f32 / 2.0) * 0.92;
     let turn = world_from_camera.rotation.as_quat();
-    let forward = turn * Vec3::Z;
+    let forward = rotate(turn, Vec3::Z);
     let pixels = (0..width * height).into_par_iter().map(|i| {
         let (x, y) = ((i % width) as f32 + 0.5, (i / width) as f32 + 0.5);
         let ball = (x * 3.0 / width as f32) as u32;
@@ -43,7 +44,7 @@ pub fn panel(
         if inside <= 0.0 {
             return ([0.0; 3], 0.0);
         }
-        let normal = turn * Vec3::new(dx, dy, -inside.sqrt());
+        let normal = rotate(turn, Vec3::new(dx, dy, -inside.sqrt()));
         let shine = |of: &dyn Fn(&SeenLamp) -> Vec3| lamps.iter().map(of).sum::<Vec3>();
         let radiance = match ball {
             0 => {

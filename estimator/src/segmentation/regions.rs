@@ -3,7 +3,7 @@
 use crate::mesh::graph::Graph;
 use crate::segmentation::labels::{UNLABELLED, label_count, sizes};
 use firmware_config::tuning::SegmentationTuning;
-use glam::Vec3;
+use glam::{DVec2, Vec3};
 use recordings::types::Mesh;
 use std::cmp::{Ordering, Reverse};
 use std::collections::{BTreeMap, BinaryHeap};
@@ -84,7 +84,9 @@ impl Border {
         };
         let lightness = (flat * smooth + self.creases * crease.max(0.0)) / self.edges;
         let concave = (self.concavity / self.edges / tuning.concave_border_rad as f32).min(1.0);
-        chroma.y.hypot(chroma.z).hypot(lightness)
+        // Rounded once: the same bits on every machine.
+        let length = |a: f32, b: f32| DVec2::new(a.into(), b.into()).length() as f32;
+        length(length(chroma.y, chroma.z), lightness)
             * (1.0 + tuning.concave_border_gain as f32 * concave)
             * (1.0 + (tuning.short_border_edges as f32 / self.edges).powi(2))
     }

@@ -1,5 +1,6 @@
 //! A mesh with materials: what is inserted, and how a reconstructed surface looks to light.
 
+use crate::numerics::rotation::rotate;
 use crate::rays::Hit;
 use crate::render::objects::material::{Brdf, Material};
 use glam::{Quat, Vec2, Vec3};
@@ -110,7 +111,7 @@ impl Object {
 
     /// Turns +Z to the unit direction `up`, then moves.
     pub fn stand(&mut self, position: Vec3, up: Vec3) {
-        let turn = |p: Vec3| if up == Vec3::Z { p } else { Quat::from_rotation_arc(Vec3::Z, up) * p };
+        let turn = |p: Vec3| if up == Vec3::Z { p } else { rotate(Quat::from_rotation_arc(Vec3::Z, up), p) };
         self.mesh.positions.iter_mut().for_each(|p| *p = turn(*p) + position);
         self.mesh.normals.iter_mut().for_each(|n| *n = turn(*n));
     }

@@ -1,6 +1,7 @@
 //! Where things stand: the surface that a pixel shows, or what lies below it where that is steep. What is below is told by the
 //! scan: where no accelerometer did, the first picture's up is +Z, and a desk leans.
 
+use crate::numerics::rotation::rotate;
 use crate::numerics::sh::even_directions;
 use crate::rays::RayScene;
 use glam::{Quat, Vec3};
@@ -70,7 +71,7 @@ pub fn standing_point(
     for i in 0..GRID * GRID {
         let offset =
             Vec3::new((i % GRID) as f32, (i / GRID) as f32, 0.0) * (2.0 / (GRID - 1) as f32) - Vec3::new(1.0, 1.0, 0.0);
-        let from = at + turn * (offset * radius) + up * REACH_M;
+        let from = at + rotate(turn, offset * radius) + up * REACH_M;
         let Some(hit) = scene.closest_hit(from, -up).filter(|h| h.distance <= 2.0 * REACH_M) else { continue };
         if offset.length_squared() <= 1.0 && upward(mesh, hit.triangle, up) >= LEAST_UP {
             heights.push(REACH_M - hit.distance);
