@@ -5,8 +5,9 @@
 //! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
 //! `--small` makes the scenes that continuous integration uses; `--lumiscan` names the
 //! program that replays recordings (by default it is built), `--judge` a folder like `--out` whose
-//! results are judged as they are. Plots go to `report.png` and `report.svg` beside the kept scenes.
+//! results are judged as they are. `--set` changes a setting for the photographs. Plots go to `report.png` and `report.svg` beside the kept scenes.
 
+use firmware_config::Config;
 use serde_json::json;
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -29,10 +30,11 @@ struct Arguments {
     program: Option<PathBuf>,
     judged: Option<PathBuf>,
     budget: Duration,
+    config: Config,
 }
 
 const USAGE: &str = "usage: corpus --seeds FROM..TO [--even|--odd] [--light distant|lamps|room] [--out DIR] [--json FILE] \
-[--cache DIR] [--lumiscan PROGRAM] [--judge DIR] [--budget SECONDS] [--render] [--photos] [--small]";
+[--cache DIR] [--lumiscan PROGRAM] [--judge DIR] [--budget SECONDS] [--set SECTION.KEY=VALUE] [--render] [--photos] [--small]";
 
 impl Arguments {
     fn parse() -> Fallible<Self> {
@@ -49,6 +51,7 @@ impl Arguments {
             judged: None,
             // Enough for the budget not to bind: figures are to be the same on any machine.
             budget: Duration::from_secs(900),
+            config: Config::default(),
         };
         let (mut parity, mut light) = (None, None);
         let mut arguments = std::env::args().skip(1);
@@ -66,6 +69,7 @@ impl Arguments {
                 "--lumiscan" => own.program = Some(value()?.into()),
                 "--judge" => own.judged = Some(value()?.into()),
                 "--budget" => own.budget = Duration::from_secs_f64(value()?.parse()?),
+                "--set" => own.config.set(&value()?)?,
                 "--light" => light = Some(value()?),
                 "--even" => parity = Some(0),
                 "--odd" => parity = Some(1),
@@ -112,7 +116,7 @@ fn main() -> Fallible<()> {
         if arguments.out.is_some() {
             copy(&scene, &folder.join("scene"))?;
         }
-        rows.push(run::photos(&scene, &folder.join("result"), arguments.budget, threads)?);
+        rows.push(run::photos(&scene, &folder.join("result"), &arguments.config.estimator, arguments.budget, threads)?);
         if arguments.fused && scene.join("recording.lrec").is_file() {
             let program = arguments.program.clone().map_or_else(lumiscan, Ok)?;
             let (device, result) = (folder.join("device"), folder.join("result_fused"));

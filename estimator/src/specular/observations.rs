@@ -21,6 +21,8 @@ pub(super) struct MirrorObservation {
     pub change: [[f64; 3]; LOBES.len()],
     /// Weight of the observation.
     pub weight: f64,
+    /// Index of the keyframe.
+    pub keyframe: usize,
 }
 
 /// The observations of the surface with predicted reflections.
@@ -61,7 +63,8 @@ impl<'a> MirrorObservations<'a> {
                     _ => return None,
                 };
                 let (seen, weight) = (o.color.map(f64::from), f64::from(o.weight));
-                Some(MirrorObservation { seen, lit, irradiance, mirror, change: mirror, weight })
+                let keyframe = usize::from(o.keyframe);
+                Some(MirrorObservation { seen, lit, irradiance, mirror, change: mirror, weight, keyframe })
             })
             .collect();
         if found.len() < self.min_views {

@@ -51,8 +51,8 @@ struct Cleaned<'a> {
 }
 
 /// Fits the gloss of every segment (Eq. 13). If any is significant, exposures are taken from matte segments, and lit colours are
-/// cleaned of gloss and factorised again as long as that improves the prediction of the keyframes; `fields` then hold the clean
-/// colours. More bands are tried too, since gloss may have hidden them.
+/// cleaned of gloss and factorised again, repeatedly as long as that improves the prediction of the keyframes; `fields` then hold
+/// the clean colours. More bands are tried too, since gloss may have hidden them.
 #[must_use]
 pub fn refit(
     surface: &Surface,
@@ -63,8 +63,8 @@ pub fn refit(
 ) -> Refitted {
     let (found, gloss, exposure_change) = fit_and_expose(surface, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
-    let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
-        cleaned,
+    let decision = |without_gloss, with_gloss| Decision::Specular {
+        cleaned: glossy > 0,
         segments: surface.segments as u32,
         glossy: glossy as u32,
         exposure_change,
@@ -72,22 +72,16 @@ pub fn refit(
         with_gloss,
     };
     if glossy == 0 {
-        return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
+        return Refitted { found, gloss, decisions: vec![decision(None, Vec::new())] };
     }
     let refitter = Refitter { surface, fields, tuning };
-    let matte = vec![Gloss::NONE; surface.segments];
-    let without = refitter.predict(&found, &matte);
+    // Significant weights are the evidence: the prediction hangs on the error of the light more than on gloss, so it does not
+    // decide whether gloss is there.
+    let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
-    // Significant weights are the evidence; the prediction of the keyframes must not get worse.
-    let holds = best.prediction.gain_over(&without) > -tuning.min_prediction_gain;
-    if holds {
-        errors.extend(refitter.repeat(&mut best));
-    }
-    let mut decisions = vec![decision(holds, Some(without.error()), errors)];
-    if !holds {
-        return Refitted { found, gloss: matte, decisions };
-    }
+    errors.extend(refitter.repeat(&mut best));
+    let mut decisions = vec![decision(Some(without), errors)];
     let best = refitter.more_bands(best, &mut decisions);
     fields.lit_color = best.lit_color;
     let albedo = &best.found.solution.albedo;

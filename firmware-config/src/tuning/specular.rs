@@ -27,7 +27,7 @@ section! {
         max_passes: u32 = 3, [1..=20], "passes", "";
         /// RMS change of the log gains from which lit colours are factorised again.
         min_gain_change: f64 = 0.002, [0.0..=1.0], "ln", "";
-        /// The prediction of the keyframes must improve by this many standard errors for more bands, and not worsen by as many for the removal of gloss.
+        /// The prediction of the keyframes must improve by this many standard errors for more bands.
         min_prediction_gain: f64 = 1.0, [0.0..=100.0], "σ", "";
         /// Touching segments whose albedos differ by less are one material.
         similar_albedo: f64 = 10.0, [0.0..=100.0], "CIELAB", "";

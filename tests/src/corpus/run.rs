@@ -15,16 +15,21 @@ use std::time::{Duration, Instant};
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
 
-/// Photographs with erroneous poses and a mesh, estimated in this process with default settings. The result folder is
-/// made.
+/// Photographs with erroneous poses and a mesh, estimated in this process. The result folder is made.
 ///
 /// # Errors
 /// The scene cannot be read or estimated, or the result cannot be written.
-pub fn photos(scene: &Path, result: &Path, budget: Duration, threads: usize) -> Fallible<Row> {
+pub fn photos(
+    scene: &Path,
+    result: &Path,
+    config: &EstimatorConfig,
+    budget: Duration,
+    threads: usize,
+) -> Fallible<Row> {
     let scan = import_photos(scene, None)?;
     let started = Instant::now();
     let options = Options { budget, rounds: None, reference: None };
-    let estimate = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &())?;
+    let estimate = estimator::estimate(&scan, config, &options, &())?;
     finish(&estimate, scene, result, false, started.elapsed(), threads)
 }
 
