@@ -6,6 +6,9 @@ use crate::numerics::rotation::rotate;
 use firmware_config::EstimatorConfig;
 use glam::{Quat, Vec3};
 
+/// A vertex counts as visible if the visible point is at most so far in front of it, in edges or pixel footprints.
+pub const VISIBLE_EDGES: f32 = 0.5;
+
 /// Thresholds of eligibility; relaxed from round to round.
 #[derive(Debug, Clone, Copy)]
 pub struct EligibilityRules {
@@ -100,7 +103,7 @@ impl ProjectedVertex {
                     return false;
                 }
                 // Occluded: the visible point at the vertex's own pixel is in front of it.
-                if dx == 0 && dy == 0 && offset.dot(self.normal) > 0.5 * self.spacing.max(self.footprint) {
+                if dx == 0 && dy == 0 && offset.dot(self.normal) > VISIBLE_EDGES * self.spacing.max(self.footprint) {
                     return false;
                 }
             }

@@ -61,6 +61,8 @@ pub struct Scene<'a> {
     pub colors: Colors<'a>,
     /// Vertices that were seen, but clipped in every picture.
     pub clipped: &'a [bool],
+    /// What was not seen may radiate more than what is around it.
+    pub unseen_radiates: bool,
 }
 
 /// What takes the place of the distant answer.
@@ -183,6 +185,8 @@ struct Choice<'a> {
     tuning: &'a FactorisationTuning,
     samples: Samples,
     pieces: Vec<Piece>,
+    /// Pieces from this one on were not seen: they radiate besides what is taken from around them.
+    unseen: usize,
     /// Form factors of the pieces: `[piece][sample]`.
     piece_columns: Vec<Vec<f32>>,
     /// What every surface radiates, as observed or from around: `[vertex]`.
@@ -192,16 +196,29 @@ struct Choice<'a> {
 impl<'a> Choice<'a> {
     fn new(scene: &'a Scene<'a>, traced: &'a Traced, tuning: &'a FactorisationTuning) -> Self {
         let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight, |i| !scene.clipped[i]);
-        Self { scene, traced, tuning, samples, pieces: Vec::new(), piece_columns: Vec::new(), radiance: Vec::new() }
+        Self {
+            scene,
+            traced,
+            tuning,
+            samples,
+            pieces: Vec::new(),
+            unseen: 0,
+            piece_columns: Vec::new(),
+            radiance: Vec::new(),
+        }
     }
 
     /// Finds what may emit, and what surfaces radiate.
     fn observe(&mut self) {
-        let Scene { mesh, rays, colors, clipped } = *self.scene;
+        let Scene { mesh, rays, colors, clipped, unseen_radiates } = *self.scene;
         let graph = Graph::of(mesh);
         let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
         self.radiance = secondary::filled(&graph, colors.lit_color, &seen);
         self.pieces = emitters::candidates(mesh, &graph, clipped, &seen);
+        self.unseen = self.pieces.len();
+        if unseen_radiates {
+            self.pieces.extend(emitters::unseen_patches(mesh, &seen));
+        }
         let column = |piece: &Piece| emitters::form_factors(mesh, rays, self.traced, piece, &self.samples.vertex);
         self.piece_columns = self.pieces.iter().map(column).collect();
     }
@@ -219,7 +236,7 @@ impl<'a> Choice<'a> {
     /// Radiance of all surfaces but those that emit.
     fn radiance_without(&self, emitters: &[usize]) -> Vec<Vec3> {
         let mut radiance = self.radiance.clone();
-        for &i in emitters.iter().flat_map(|p| &self.pieces[*p].vertices) {
+        for &i in emitters.iter().filter(|p| **p < self.unseen).flat_map(|p| &self.pieces[*p].vertices) {
             radiance[i as usize] = Vec3::ZERO;
         }
         radiance
@@ -254,19 +271,27 @@ impl<'a> Choice<'a> {
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
     }
 
-    /// Adds emitting pieces and lamps while held-out surface asks for them, then takes away pieces that it does not miss.
+    /// Lets what was not seen radiate more than what is around it, then adds emitting pieces and lamps, all while held-out surface
+    /// asks for them; takes away pieces at last that it does not miss.
     fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
         let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
         let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
         let mut best = solved(&[], &[]);
         note(&best);
+        if self.unseen < self.pieces.len() {
+            let patches: Vec<usize> = (self.unseen..self.pieces.len()).collect();
+            let next = solved(&patches, &[]);
+            if is_better(&next.blocks, &best.blocks) {
+                best = next;
+            }
+        }
         loop {
             let with = |p: usize| {
                 let mut emitters = best.emitters.clone();
                 emitters.push(p);
                 solved(&emitters, &[])
             };
-            let others = (0..self.pieces.len()).filter(|p| !best.emitters.contains(p));
+            let others = (0..self.unseen).filter(|p| !best.emitters.contains(p));
             let next = others.map(with).min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
             let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
             best = next;
@@ -286,7 +311,7 @@ impl<'a> Choice<'a> {
             return best;
         }
         // A lamp that was not there yet may have been taken for emission.
-        for p in best.emitters.clone() {
+        for p in best.emitters.clone().into_iter().filter(|p| *p < self.unseen) {
             let emitters: Vec<usize> = best.emitters.iter().copied().filter(|e| *e != p).collect();
             let without = solved(&emitters, &best.lamps);
             if is_better(&best.blocks, &without.blocks) {
@@ -329,7 +354,7 @@ impl<'a> Choice<'a> {
 
     /// The chosen model at every vertex, what was not seen radiating as the model says.
     fn finished(&mut self, model: Model, found: &Factorised) -> Near {
-        let Scene { mesh, rays, colors, clipped } = *self.scene;
+        let Scene { mesh, rays, colors, clipped, .. } = *self.scene;
         let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
         let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
         let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l, LAMP_RAYS);
@@ -364,7 +389,9 @@ impl<'a> Choice<'a> {
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
         for (p, radiance) in model.emitters.iter().zip(&model.solved.light[used..]) {
-            local.emitters.push(Emitter { vertices: self.pieces[*p].vertices.clone(), radiance: *radiance });
+            if radiance.iter().any(|r| *r > 0.0) {
+                local.emitters.push(Emitter { vertices: self.pieces[*p].vertices.clone(), radiance: *radiance });
+            }
         }
         for (l, power) in model.lamps.iter().zip(&model.solved.light[used + model.emitters.len()..]) {
             let area = f64::from(l.radius).powi(2);
@@ -411,6 +438,7 @@ impl<'a> Choice<'a> {
         deviation: [f64; 3],
         mut light: LocalLight,
     ) -> Near {
+        self.fill_unseen(&mut solution.albedo);
         let transfer_error = self.traced.relative_errors();
         let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error);
         let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
@@ -426,6 +454,20 @@ impl<'a> Choice<'a> {
         light.emitters.iter_mut().for_each(|e| scaled(&mut e.radiance));
         light.lamps.iter_mut().for_each(|l| scaled(&mut l.radiance));
         Near { solution, detail, irradiance, light, scale: decision }
+    }
+
+    /// Segments that no sample tells of get the geometric mean of the others' albedo.
+    fn fill_unseen(&self, albedo: &mut [[f64; 3]]) {
+        let Samples { segment, weight, .. } = &self.samples;
+        let mut seen = vec![0.0; albedo.len()];
+        segment.iter().zip(weight).for_each(|(s, w)| seen[*s as usize] += w);
+        let total: f64 = seen.iter().sum();
+        if total <= 0.0 {
+            return;
+        }
+        let logs = |c: usize| albedo.iter().zip(&seen).map(|(a, w)| w * libm::log(a[c].max(1e-9))).sum::<f64>();
+        let mean = [0, 1, 2].map(|c| libm::exp(logs(c) / total));
+        albedo.iter_mut().zip(&seen).filter(|(_, w)| **w <= 0.0).for_each(|(a, _)| *a = mean);
     }
 
     /// What the light that is not secondary has to be multiplied by, per channel, so that the surfaces get this irradiance on

@@ -1,5 +1,7 @@
-//! Surfaces that emit (N4): connected pieces that are clipped in every picture that shows them are the candidates.
+//! Surfaces that emit (N4): connected pieces that are clipped in every picture that shows them are the candidates,
+//! and patches that no picture shows.
 
+use crate::light_model::samples::bounds;
 use crate::mesh::graph::Graph;
 use crate::numerics::random::{hash, unit};
 use crate::rays::RayScene;
@@ -7,6 +9,7 @@ use crate::transfer::Traced;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::types::Mesh;
+use std::collections::BTreeMap;
 
 /// Candidates at most, largest first.
 const MAX_PIECES: usize = 8;
@@ -18,6 +21,9 @@ const UNSEEN_RADII: f32 = 2.5;
 const UNSEEN_RATIO: usize = 4;
 /// Hits from which the share of rays is a better estimate than points on the piece.
 const ENOUGH_HITS: usize = 20;
+/// Edge of a patch of unseen surface, as a share of the scene's size, and patches at most, largest first.
+const PATCH: f32 = 0.1;
+const MAX_PATCHES: usize = 40;
 /// Points on a piece that a vertex looks at.
 const POINTS: usize = 16;
 
@@ -70,8 +76,29 @@ pub fn candidates(mesh: &Mesh, graph: &Graph, clipped: &[bool], seen: &[bool]) -
         vertices.sort_unstable();
         pieces.push(Piece::new(vertices.into_iter().map(|i| i as u32).collect(), &area));
     }
+    largest(pieces, MAX_PIECES)
+}
+
+/// Patches of surface that no picture shows: cells of a lattice, apart by the axis that they face.
+#[must_use]
+pub fn unseen_patches(mesh: &Mesh, seen: &[bool]) -> Vec<Piece> {
+    let area = vertex_areas(mesh);
+    let (low, high) = bounds(mesh);
+    let edge = (PATCH * low.distance(high)).max(f32::MIN_POSITIVE);
+    let mut cells: BTreeMap<([i32; 3], usize, bool), Vec<usize>> = BTreeMap::new();
+    for i in (0..seen.len()).filter(|i| !seen[*i]) {
+        let (cell, normal) = (((mesh.positions[i] - low) / edge).floor().as_ivec3(), mesh.normals[i]);
+        let axis = normal.abs().max_position();
+        cells.entry((cell.to_array(), axis, normal[axis] > 0.0)).or_default().push(i);
+    }
+    let piece = |cell: Vec<usize>| Piece::new(cell.into_iter().map(|i| i as u32).collect(), &area);
+    largest(cells.into_values().filter(|c| c.len() >= MIN_VERTICES).map(piece).collect(), MAX_PATCHES)
+}
+
+/// The largest pieces, at most so many.
+fn largest(mut pieces: Vec<Piece>, most: usize) -> Vec<Piece> {
     pieces.sort_by(|a, b| b.area().total_cmp(&a.area()).then(a.vertices[0].cmp(&b.vertices[0])));
-    pieces.truncate(MAX_PIECES);
+    pieces.truncate(most);
     pieces
 }
 

@@ -4,6 +4,7 @@
 //! `f(x) = a(x) [ Σ_k t_k(x) i_k + Σ_p P_p g_p(x) + Σ_e F_e(x) E_e + G(x) ]`
 
 pub mod choose;
+pub mod covered;
 mod emitters;
 mod lamps;
 mod samples;

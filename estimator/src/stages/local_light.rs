@@ -1,24 +1,42 @@
 //! Light that is not distant, where held-out surface asks for it.
 
-use crate::factorisation::Factorised;
-use crate::light_model::choose;
+use crate::factorisation::{Colors, Factorised};
+use crate::light_model::choose::{self, Chosen};
+use crate::light_model::covered::covered;
 use crate::stages::prepare::Prepared;
 use crate::stages::result::check_distance;
 use crate::stages::run::Run;
-use recordings::local_light::LocalLight;
+use recordings::local_light::{LightModel, LocalLight};
 
 /// Puts the answer of a richer model of light in place of the distant one if held-out surface asks for it; the distant one is
-/// checked before. Changes nothing else.
+/// checked before. Where no model explains the colours, as in closed rooms that were seen in part, what another sheet covers
+/// counts as unseen, what was not seen may radiate, and the models are tried again. Changes nothing else.
 pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: &mut Run) -> LocalLight {
     let clipped = prepared.fields.always_clipped();
-    let scene =
-        choose::Scene { mesh: &prepared.mesh, rays: &prepared.scene, colors: prepared.colors(), clipped: &clipped };
-    let tuning = &run.config.tuning.factorisation;
-    let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
-    prepared.decisions.push(chosen.decision);
-    if chosen.searched {
-        run.plan.local_light_done();
+    let choose = |lit_weight: &[f32], unseen_radiates: bool, run: &mut Run| {
+        let colors = Colors { lit_weight, ..prepared.colors() };
+        let (mesh, rays) = (&prepared.mesh, &prepared.scene);
+        let scene = choose::Scene { mesh, rays, colors, clipped: &clipped, unseen_radiates };
+        let tuning = &run.config.tuning.factorisation;
+        let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
+        if chosen.searched {
+            run.plan.local_light_done();
+        }
+        chosen
+    };
+    let is_unexplained = |c: &Chosen| c.near.as_ref().is_some_and(|n| n.light.model == LightModel::Unexplained);
+    let mut chosen = choose(&prepared.fields.lit_weight, false, run);
+    if is_unexplained(&chosen) {
+        let covered = covered(&prepared.mesh, &prepared.scene);
+        let weights = prepared.fields.lit_weight.iter().zip(&covered);
+        let uncovered: Vec<f32> = weights.map(|(w, covered)| if *covered { 0.0 } else { *w }).collect();
+        let again = choose(&uncovered, true, run);
+        if again.near.is_some() && !is_unexplained(&again) {
+            chosen = again;
+            prepared.fields.lit_weight = uncovered;
+        }
     }
+    prepared.decisions.push(chosen.decision);
     let Some(near) = chosen.near else { return LocalLight::default() };
     check_distance(prepared, found, run.config);
     (found.solution, found.detail, found.irradiance) = (near.solution, near.detail, near.irradiance);
