@@ -218,7 +218,9 @@ impl Live {
         if let Some(every) = self.accelerometer_every
             && now >= self.next_accelerometer
         {
-            self.next_accelerometer = now + every;
+            // From when it was due: otherwise every delay would lower the rate. What was missed is not made up for.
+            let next = self.next_accelerometer + every;
+            self.next_accelerometer = if next > now { next } else { now + every };
             self.pending_acceleration = self.kinect.accelerometer();
         }
         if self.read_exposure
