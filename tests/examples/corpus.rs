@@ -2,10 +2,10 @@
 //!
 //! Rendered scenes are kept in `target/corpus/<seed>-<version>`. `--out DIR` leaves `DIR/<seed>/scene` and
 //! `DIR/<seed>/result` (and `result_fused` where the seed has a recording), `--json FILE` all figures. `--even`, `--odd` and
-//! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out,
+//! `--light distant|lamps|room` choose among the seeds, `--render` stops after rendering, `--photos` leaves recordings out, `--recordings` photographs,
 //! `--small` makes the scenes that continuous integration uses; `--lumiscan` names the
 //! program that replays recordings (by default it is built), `--judge` a folder like `--out` whose
-//! results are judged as they are. `--set` changes a setting for the photographs. Plots go to `report.png` and `report.svg` beside the kept scenes.
+//! results are judged as they are. `--set` changes a setting. Plots go to `report.png` and `report.svg` beside the kept scenes.
 
 use firmware_config::Config;
 use serde_json::json;
@@ -26,15 +26,16 @@ struct Arguments {
     cache: PathBuf,
     detail: Detail,
     render_only: bool,
+    photos: bool,
     fused: bool,
     program: Option<PathBuf>,
     judged: Option<PathBuf>,
     budget: Duration,
-    config: Config,
+    settings: Vec<String>,
 }
 
 const USAGE: &str = "usage: corpus --seeds FROM..TO [--even|--odd] [--light distant|lamps|room] [--out DIR] [--json FILE] \
-[--cache DIR] [--lumiscan PROGRAM] [--judge DIR] [--budget SECONDS] [--set SECTION.KEY=VALUE] [--render] [--photos] [--small]";
+[--cache DIR] [--lumiscan PROGRAM] [--judge DIR] [--budget SECONDS] [--set SECTION.KEY=VALUE] [--render] [--photos|--recordings] [--small]";
 
 impl Arguments {
     fn parse() -> Fallible<Self> {
@@ -46,12 +47,13 @@ impl Arguments {
             cache: workspace.join("target/corpus"),
             detail: Detail::FULL,
             render_only: false,
+            photos: true,
             fused: true,
             program: None,
             judged: None,
             // Enough for the budget not to bind: figures are to be the same on any machine.
             budget: Duration::from_secs(900),
-            config: Config::default(),
+            settings: Vec::new(),
         };
         let (mut parity, mut light) = (None, None);
         let mut arguments = std::env::args().skip(1);
@@ -69,12 +71,13 @@ impl Arguments {
                 "--lumiscan" => own.program = Some(value()?.into()),
                 "--judge" => own.judged = Some(value()?.into()),
                 "--budget" => own.budget = Duration::from_secs_f64(value()?.parse()?),
-                "--set" => own.config.set(&value()?)?,
+                "--set" => own.settings.push(value()?),
                 "--light" => light = Some(value()?),
                 "--even" => parity = Some(0),
                 "--odd" => parity = Some(1),
                 "--render" => own.render_only = true,
                 "--photos" => own.fused = false,
+                "--recordings" => own.photos = false,
                 "--small" => own.detail = Detail::SMALL,
                 _ => return Err(USAGE.into()),
             }
@@ -90,6 +93,8 @@ fn main() -> Fallible<()> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     std::fs::create_dir_all(&arguments.cache)?;
     let kept = arguments.out.clone().unwrap_or_else(|| arguments.cache.join("results"));
+    let mut config = Config::default();
+    arguments.settings.iter().try_for_each(|setting| config.set(setting))?;
     let mut rows: Vec<Row> = Vec::new();
     for &seed in &arguments.seeds {
         let started = Instant::now();
@@ -116,11 +121,15 @@ fn main() -> Fallible<()> {
         if arguments.out.is_some() {
             copy(&scene, &folder.join("scene"))?;
         }
-        rows.push(run::photos(&scene, &folder.join("result"), &arguments.config.estimator, arguments.budget, threads)?);
+        if arguments.photos {
+            let result = folder.join("result");
+            rows.push(run::photos(&scene, &result, &config.estimator, arguments.budget, threads)?);
+        }
         if arguments.fused && scene.join("recording.lrec").is_file() {
             let program = arguments.program.clone().map_or_else(lumiscan, Ok)?;
             let (device, result) = (folder.join("device"), folder.join("result_fused"));
-            match run::fused(&program, &scene, &device, &result, arguments.budget, threads) {
+            let settings = &arguments.settings;
+            match run::fused(&program, settings, &scene, &device, &result, arguments.budget, threads) {
                 Ok(row) => rows.push(row),
                 Err(e) => eprintln!("seed {seed}: the recording gave no result: {e}"),
             }

@@ -245,6 +245,14 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
     let light: Vec<[f64; 3]> = found.light.iter().map(|l| (DVec3::from(*l) / scaled).to_array()).collect();
     let spheres = found.spheres.iter().map(|s| Sphere { radiance: s.radiance / scale, ..*s }).collect();
     let emission: Option<Vec<Vec3>> = found.emission.map(|e| e.iter().map(|e| *e / scale).collect());
+    // The ceiling of another mesh than the truth's: the truth's albedo on it.
+    let ceiling_albedo = (!same).then(|| {
+        let mut ceiling = albedo.clone();
+        let all: Vec<usize> = (0..ceiling.len()).collect();
+        let nearest = matched(&found.mesh, &all, &truth.mesh);
+        nearest.into_iter().for_each(|(own, of_truth)| ceiling[own] = truth.albedo[of_truth]);
+        ceiling
+    });
     let rerender = Rerender::new(found.mesh, RERENDER_RAYS, threads);
     let arriving = rerender.bounced(&rerender.direct_found(&light, spheres, emission.as_deref()), &albedo);
     let (error, p90) = irradiance_error(&truth, &arriving, &pairs);
@@ -253,22 +261,38 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
     let portals = portals(&truth.spec["portals"]);
     for (k, key) in VIEW_NAMES.iter().enumerate() {
         let (poses, views) = read_views(scene, k)?;
+        let seen = |colors: &[Vec3]| {
+            let own: Vec<View> = poses.iter().map(|pose| rerender.view(colors, &truth.camera, pose)).collect();
+            psnr(&own, &views, gain_for(&views))
+        };
+        let reflected = |albedo: &[Vec3], light: &[Vec3]| albedo.iter().zip(light).map(|(a, l)| *a * *l).collect();
         let light = if k == 0 {
             arriving.clone()
         } else {
             let environment = read_environment(&scene.join(format!("truth/env_{key}.npy")));
             // Light gets through every gap of a scan, so that portals would miss some.
-            rerender.bounced(&rerender.direct(&environment, if same { &portals } else { &[] }), &albedo)
+            let direct = rerender.direct(&environment, if same { &portals } else { &[] });
+            if let Some(ceiling) = &ceiling_albedo {
+                let colors: Vec<Vec3> = reflected(ceiling, &rerender.bounced(&direct, ceiling));
+                put(&format!("ceiling_{key}_psnr"), seen(&colors));
+            }
+            rerender.bounced(&direct, &albedo)
         };
-        let own = |i: usize| emission.as_ref().filter(|_| k == 0).map_or(Vec3::ZERO, |e| e[i]);
-        let colors: Vec<Vec3> = (0..albedo.len()).map(|i| albedo[i] * light[i] + own(i)).collect();
-        let own: Vec<View> = poses.iter().map(|pose| rerender.view(&colors, &truth.camera, pose)).collect();
-        put(&format!("{key}_psnr"), psnr(&own, &views, gain_for(&views)));
+        let mut colors: Vec<Vec3> = reflected(&albedo, &light);
+        if let Some(emission) = emission.as_ref().filter(|_| k == 0) {
+            colors.iter_mut().zip(emission).for_each(|(c, e)| *c += *e);
+        }
+        put(&format!("{key}_psnr"), seen(&colors));
     }
     for kind in ["ceiling", "naive"] {
         let of = |key: &str| truth.reference[kind][key].as_f64().unwrap_or(f64::NAN);
         put(&format!("{kind}_psnr"), 0.5 * (of("relight1") + of("relight2")));
         put(&format!("{kind}_original_psnr"), of("original"));
+    }
+    if !same {
+        let of = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
+        let ceiling = 0.5 * (of("ceiling_relight1_psnr") + of("ceiling_relight2_psnr"));
+        row.insert("ceiling_psnr".into(), json!(ceiling));
     }
     let of = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
     let relit = 0.5 * (of("relight1_psnr") + of("relight2_psnr"));

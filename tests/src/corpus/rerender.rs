@@ -17,7 +17,7 @@ pub struct Rerender {
     threads: usize,
 }
 
-/// A picture; pixels that the mesh does not fill hold nothing.
+/// A picture; pixels that the mesh's front does not fill hold nothing.
 pub type View = Vec<Option<Vec3>>;
 
 impl Rerender {
@@ -87,6 +87,10 @@ impl Rerender {
             for (dx, dy) in [(-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)] {
                 let pixel = [(k % width) as f32 + dx, (k / width) as f32 + dy];
                 let surface = self.scene.intersect(origin, (turn * ray(camera, pixel)).normalize())?;
+                // A scan of one side is a shell, and the inside of a shell is no answer to what its outside looks like.
+                if !surface.outside {
+                    return None;
+                }
                 sum += surface.vertices.iter().zip(surface.weights).map(|(&i, w)| colors[i as usize] * w).sum::<Vec3>();
             }
             Some(sum / 4.0)

@@ -33,13 +33,14 @@ pub fn photos(
     finish(&estimate, scene, result, false, started.elapsed(), threads)
 }
 
-/// The scene's recording through `lumiscan replay`; `program` is the executable. Device folder and result folder are made,
+/// The scene's recording through `lumiscan replay`; `program` is the executable, `settings` are given to it. Device folder and result folder are made,
 /// the device folder goes away again.
 ///
 /// # Errors
 /// The program gives no result, or it cannot be written.
 pub fn fused(
     program: &Path,
+    settings: &[String],
     scene: &Path,
     device: &Path,
     result: &Path,
@@ -53,6 +54,7 @@ pub fn fused(
         .arg("--device")
         .arg(device)
         .args(["--budget", &budget.as_secs_f64().to_string()])
+        .args(settings.iter().flat_map(|s| ["--set", s]))
         .output()?;
     let elapsed = started.elapsed();
     let printed = String::from_utf8(done.stdout)?;
