@@ -3,6 +3,7 @@
 use crate::factorisation::projection::Projection;
 use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
+use crate::numerics::dense::{self, add_scaled, dot};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -46,7 +47,9 @@ impl Alternation {
         }
         let mut sum = (DMatrix::zeros(k, k), DVector::zeros(k));
         statistics.iter().zip(&self.albedo).for_each(|(s, a)| add(&mut sum, s, *a));
+        let mut arriving = DVector::zeros(k);
         for _ in 0..tuning.max_turns {
+            sum.0.fill_lower_triangle_with_upper_triangle();
             let (gram, cross) = &sum;
             // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
             let strength = regularisation * total / DIRECTIONS as f64;
@@ -63,7 +66,8 @@ impl Alternation {
             sum.0.fill(0.0);
             sum.1.fill(0.0);
             for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
-                let predicted = light.dot(&(&s.gram * &light));
+                arriving.gemv(1.0, &s.gram, &light, 0.0);
+                let predicted = light.dot(&arriving);
                 let explained = s.cross.dot(&light);
                 if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
                     let new = explained / predicted;
@@ -113,11 +117,13 @@ impl Alternation {
     }
 }
 
-/// Adds a segment with this albedo to Σ a² G and Σ a g.
+/// Adds a segment with this albedo to Σ a² G, its upper triangle, and Σ a g.
 fn add((gram, cross): &mut (DMatrix<f64>, DVector<f64>), s: &Statistics, albedo: f64) {
-    let square = albedo * albedo;
-    gram.iter_mut().zip(&s.gram).for_each(|(sum, g)| *sum += g * square);
-    cross.iter_mut().zip(&s.cross).for_each(|(sum, g)| *sum += g * albedo);
+    let (k, square) = (cross.len(), albedo * albedo);
+    for (j, (sum, g)) in gram.as_mut_slice().chunks_exact_mut(k).zip(s.gram.as_slice().chunks_exact(k)).enumerate() {
+        add_scaled(&mut sum[..=j], square, &g[..=j]);
+    }
+    add_scaled(cross.as_mut_slice(), albedo, s.cross.as_slice());
 }
 
 /// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from the given r. The gradient is
@@ -130,25 +136,25 @@ fn non_negative(
     (strength, min_observability): (f64, f64),
     r: &mut DVector<f64>,
 ) {
-    let projection = projection.matrix();
-    let columns = gram * projection;
-    let observability: Vec<f64> = (0..r.len()).map(|d| projection.column(d).dot(&columns.column(d)).max(0.0)).collect();
+    let (k, projection) = (projection.coefficients(), projection.matrix());
+    let products = dense::product(gram, projection);
+    let columns = || projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
+    let observability: Vec<f64> = columns().map(|(column, product)| dot(column, product).max(0.0)).collect();
     let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
     let mut gradient = gram * (projection * &*r) - cross;
     for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
-        for d in 0..r.len() {
-            let column = projection.column(d);
+        for (d, (column, product)) in columns().enumerate() {
             let strength = strength * (1.0 + least / observability[d].max(1e-4 * least));
             let diagonal = observability[d] + strength;
             if diagonal <= 0.0 {
                 continue;
             }
-            let slope = column.dot(&gradient) + strength * (r[d] - 1.0);
+            let slope = dot(column, gradient.as_slice()) + strength * (r[d] - 1.0);
             let step = (r[d] - slope / diagonal).max(0.0) - r[d];
             if step != 0.0 {
                 r[d] += step;
-                gradient.axpy(step, &columns.column(d), 1.0);
+                add_scaled(gradient.as_mut_slice(), step, product);
                 moved += step * step;
             }
             size += r[d] * r[d];

@@ -2,6 +2,7 @@
 
 use crate::factorisation::held_out;
 use crate::factorisation::problem::Observed;
+use crate::numerics::dense;
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -108,7 +109,7 @@ impl Folds {
                 sum.square += w * f * f;
                 sum.weight += w;
             }
-            sum.gram.gemm(1.0, &weighted, &rows.transpose(), 0.0);
+            sum.gram = dense::upper_product(&weighted, &rows.transpose());
             sum
         };
         let partial: Vec<[Statistics; 2]> =

@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::numerics::robust::{median, robust_sigma};
 use crate::specular::gloss::{Gloss, LOBES};
+use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::observations::{MirrorObservation, MirrorObservations};
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
@@ -34,14 +35,15 @@ struct Sample {
 
 /// Fits every segment; `segment` is `[vertex]`, the result `[segment]`.
 #[must_use]
-pub fn fit(
+pub(super) fn fit(
     reflection: &Reflection,
+    rays: &MirrorRays,
     association: &Association,
     segment: &[u32],
     segments: usize,
     tuning: &SpecularTuning,
 ) -> Vec<Gloss> {
-    let observations = MirrorObservations::new(reflection, association, tuning.min_views);
+    let observations = MirrorObservations::new(reflection, rays, association, tuning.min_views);
     let views = |i: usize| (association.offsets[i + 1] - association.offsets[i]) as usize;
     let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); segments];
     for (i, s) in segment.iter().enumerate() {
@@ -50,7 +52,7 @@ pub fn fit(
         }
     }
     of_segment
-        .into_iter()
+        .into_par_iter()
         .map(|vertices| {
             let total: usize = vertices.iter().map(|&i| views(i)).sum();
             let stride = total.div_ceil(tuning.max_observations as usize).max(1);
