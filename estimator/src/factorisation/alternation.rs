@@ -29,7 +29,7 @@ pub(super) struct Alternation {
 impl Alternation {
     /// Coefficients of the light: `[k]`.
     pub fn light(&self, projection: &Projection) -> DVector<f64> {
-        projection.matrix() * &self.radiance
+        dense::times(projection.matrix(), &self.radiance)
     }
 
     /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
@@ -47,7 +47,6 @@ impl Alternation {
         }
         let mut sum = (DMatrix::zeros(k, k), DVector::zeros(k));
         statistics.iter().zip(&self.albedo).for_each(|(s, a)| add(&mut sum, s, *a));
-        let mut arriving = DVector::zeros(k);
         for _ in 0..tuning.max_turns {
             sum.0.fill_lower_triangle_with_upper_triangle();
             let (gram, cross) = &sum;
@@ -66,8 +65,7 @@ impl Alternation {
             sum.0.fill(0.0);
             sum.1.fill(0.0);
             for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
-                arriving.gemv(1.0, &s.gram, &light, 0.0);
-                let predicted = light.dot(&arriving);
+                let predicted = light.dot(&dense::times(&s.gram, &light));
                 let explained = s.cross.dot(&light);
                 if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
                     let new = explained / predicted;
@@ -141,7 +139,7 @@ fn non_negative(
     let columns = || projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
     let observability: Vec<f64> = columns().map(|(column, product)| dot(column, product).max(0.0)).collect();
     let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
-    let mut gradient = gram * (projection * &*r) - cross;
+    let mut gradient = dense::times(gram, &dense::times(projection, r)) - cross;
     for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
         for (d, (column, product)) in columns().enumerate() {

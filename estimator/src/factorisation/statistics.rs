@@ -70,7 +70,7 @@ impl Statistics {
 
     /// Σ w (f − a E)².
     pub fn residual(&self, albedo: f64, light: &DVector<f64>) -> f64 {
-        let predicted = light.dot(&(&self.gram * light));
+        let predicted = light.dot(&dense::times(&self.gram, light));
         (self.square - 2.0 * albedo * self.cross.dot(light) + albedo * albedo * predicted).max(0.0)
     }
 }

@@ -1,7 +1,7 @@
 //! Products of small dense matrices: the sums of `nalgebra`, in its order and so with its bits, but in registers. `nalgebra` itself
 //! is fast with kernels that depend on the CPU alone.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Rows and columns of a product that are summed in registers.
 const TILE: usize = 4;
@@ -62,6 +62,27 @@ fn tile(a: &DMatrix<f64>, b: &DMatrix<f64>, row: usize, column: usize) -> [[f64;
     sums
 }
 
+/// `a · x`.
+#[must_use]
+pub fn times(a: &DMatrix<f64>, x: &DVector<f64>) -> DVector<f64> {
+    let mut out = DVector::zeros(a.nrows());
+    let y = out.as_mut_slice();
+    let (rows, x) = (a.nrows().max(1), x.as_slice());
+    let Some((first, x)) = x.split_first() else { return out };
+    let (start, a) = a.as_slice().split_at(a.nrows());
+    y.iter_mut().zip(start).for_each(|(y, a)| *y = a * first);
+    let ((x, x_rest), columns) = (x.as_chunks::<TILE>(), a.chunks_exact(TILE * rows));
+    let rest = columns.remainder().chunks_exact(rows);
+    for (columns, [p, q, r, s]) in columns.zip(x) {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|n| &columns[n * rows..(n + 1) * rows]);
+        for (i, y) in y.iter_mut().enumerate() {
+            *y = *y + a[i] * p + b[i] * q + c[i] * r + d[i] * s;
+        }
+    }
+    rest.zip(x_rest).for_each(|(column, x)| add_scaled(y, *x, column));
+    out
+}
+
 /// `Σ a b`, in eight partial sums.
 #[must_use]
 #[inline(always)]
@@ -107,7 +128,8 @@ mod tests {
             for (i, j) in (0..rows).flat_map(|i| (i..columns).map(move |j| (i, j))) {
                 prop_assert_eq!(upper[(i, j)].to_bits(), expected[(i, j)].to_bits());
             }
-            let (x, mut y) = (nalgebra::DVector::from_fn(inner, value), nalgebra::DVector::from_fn(inner, |i, _| value(i, 5)));
+            let (x, mut y) = (DVector::from_fn(inner, value), DVector::from_fn(inner, |i, _| value(i, 5)));
+            prop_assert_eq!(bits(times(&a, &x).as_slice()), bits((&a * &x).as_slice()));
             prop_assert_eq!(dot(x.as_slice(), y.as_slice()).to_bits(), x.dot(&y).to_bits());
             let mut added = y.clone();
             add_scaled(added.as_mut_slice(), 0.3, x.as_slice());
