@@ -139,12 +139,14 @@ fn non_negative(
     let columns = || projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
     let observability: Vec<f64> = columns().map(|(column, product)| dot(column, product).max(0.0)).collect();
     let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
+    // (observability, strength) of every direction.
+    let held = observability.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
+    let held: Vec<(f64, f64)> = held.collect();
     let mut gradient = dense::times(gram, &dense::times(projection, r)) - cross;
     for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
-        for (d, (column, product)) in columns().enumerate() {
-            let strength = strength * (1.0 + least / observability[d].max(1e-4 * least));
-            let diagonal = observability[d] + strength;
+        for (d, ((column, product), &(observability, strength))) in columns().zip(&held).enumerate() {
+            let diagonal = observability + strength;
             if diagonal <= 0.0 {
                 continue;
             }
