@@ -2,9 +2,12 @@
 //! is fast with kernels that depend on the CPU alone.
 
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 
 /// Rows and columns of a product that are summed in registers.
 const TILE: usize = 4;
+/// Columns of a product that one task takes, at least.
+const TASK: usize = 80;
 /// Partial sums of [`dot`].
 const LANES: usize = 8;
 
@@ -21,20 +24,22 @@ pub fn upper_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// The tiles of `a · b` that are `wanted` by their first row and column.
-fn tiles(a: &DMatrix<f64>, b: &DMatrix<f64>, wanted: impl Fn(usize, usize) -> bool) -> DMatrix<f64> {
+fn tiles(a: &DMatrix<f64>, b: &DMatrix<f64>, wanted: impl Fn(usize, usize) -> bool + Sync) -> DMatrix<f64> {
     let (rows, columns) = (a.nrows(), b.ncols());
     if rows < TILE || columns < TILE {
         return a * b;
     }
     let mut out = DMatrix::zeros(rows, columns);
-    for i in firsts(rows) {
-        for j in firsts(columns).filter(|j| wanted(i, *j)) {
-            let sums = tile(a, b, i, j);
-            for (c, sums) in sums.iter().enumerate() {
-                out.column_mut(j + c).as_mut_slice()[i..i + TILE].copy_from_slice(sums);
+    let width = columns.div_ceil((columns / TASK).max(1));
+    out.as_mut_slice().par_chunks_mut(rows * width).enumerate().for_each(|(task, out)| {
+        for i in firsts(rows) {
+            for j in firsts(out.len() / rows).filter(|j| wanted(i, task * width + j)) {
+                for (c, sums) in tile(a, b, i, task * width + j).iter().enumerate() {
+                    out[(j + c) * rows + i..][..TILE].copy_from_slice(sums);
+                }
             }
         }
-    }
+    });
     out
 }
 
@@ -118,7 +123,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn products_have_the_bits_of_nalgebra(rows in 0usize..22, inner in 0usize..22, columns in 0usize..22, seed: u32) {
+        fn products_have_the_bits_of_nalgebra(rows in 0usize..22, inner in 0usize..22, columns in prop_oneof![0usize..22, 150usize..180], seed: u32) {
             let value = |i: usize, j: usize| libm::sin(f64::from(seed % 1000) + (i * 31 + j * 7) as f64);
             let a = DMatrix::from_fn(rows, inner, value);
             let b = DMatrix::from_fn(inner, columns, |i, j| value(j + 3, i));

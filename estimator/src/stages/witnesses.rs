@@ -14,7 +14,7 @@ use recordings::result::{Texture, WitnessError};
 use recordings::scan::Scan;
 
 /// Frames that are predicted at once: a bound of their memory.
-const AT_ONCE: usize = 4;
+const AT_ONCE: usize = 8;
 
 /// Predicts the validation frames as far as the budget allows. `lit_with_gloss` are the lit colours before gloss was removed,
 /// linear RGB: `[vertex]`.
