@@ -1,5 +1,5 @@
-//! Products of small dense matrices: the sums of `nalgebra`, in its order and so with its bits, but in registers. `nalgebra` itself
-//! is fast with kernels that depend on the CPU alone.
+//! Products of small dense matrices: the sums of `nalgebra`, in its order and so with its bits, but in registers. `nalgebra` is
+//! fast only with kernels that depend on the CPU.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;

@@ -8,8 +8,8 @@
 mod clean;
 mod fit;
 mod gloss;
-mod mirror_rays;
 pub mod material;
+mod mirror_rays;
 mod observations;
 mod prediction;
 pub mod refit;

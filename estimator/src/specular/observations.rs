@@ -64,9 +64,7 @@ impl<'a> MirrorObservations<'a> {
                         let seen = sh::radiance(lights, direction.as_dvec3()).map(|x| x.max(0.0));
                         std::array::from_fn(|lobe| [0, 1, 2].map(|c| seen[3 * lobe + c]))
                     }
-                    Some(hit) if blocked => {
-                        [reflection.lit_at(association, direction, &hit)?; LOBES.len()]
-                    }
+                    Some(hit) if blocked => [reflection.lit_at(association, direction, &hit)?; LOBES.len()],
                     _ => return None,
                 };
                 let (seen, weight) = (o.color.map(f64::from), f64::from(o.weight));
