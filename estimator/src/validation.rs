@@ -18,7 +18,7 @@ use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::decision::{Decision, TexturePrediction};
 use recordings::result::WitnessError;
-use recordings::types::{CameraModel, Intrinsics, Keyframe, Pose, Response};
+use recordings::types::{CameraModel, Intrinsics, Keyframe, Mesh, Pose, Response};
 
 /// The model that is rendered.
 #[derive(Clone, Copy)]
@@ -58,8 +58,8 @@ pub struct Compared {
     pub texture: Option<TexturePrediction>,
 }
 
-/// One pixel, linear RGB: observed, lit colour, model, veil of the observed.
-type Pixel = [[f64; 3]; 4];
+/// One pixel, linear RGB: observed, predicted, veil of the observed.
+type Pixel = [[f64; 3]; 3];
 
 /// Compares one validation frame with the model; `None` if its picture cannot be decoded.
 #[must_use]
@@ -74,51 +74,49 @@ pub fn compare(
     let stride = config.tuning.validation.pixel_stride as usize;
     let veil = Veil::of(&picture, &frame.camera, &context.table);
     let image = ValidationImage { picture: &picture, lens: &frame.camera, veil: &veil, stride };
-    let still = |pose: &Pose| MovingCamera::still(pose, &picture.camera);
-    let seen = |model: &Model, camera: &MovingCamera| pixels(model, context, &image, camera);
-    let first = seen(model, &still(&tracked));
-    let mut view = RefinedView { world_from_camera: tracked, gain: gains(&first, 1), residual_px: 0.0 };
-    let (mut found, mut camera) = (first.clone(), still(&tracked));
+    let from = |camera: MovingCamera| Rendered::new(context, &image, camera);
+    let still = |pose: &Pose| from(MovingCamera::still(pose, &picture.camera));
+    let mut rendered = still(&tracked);
+    let mut found = rendered.pixels(model, lit);
+    let tracked_psnr_db = [psnr(&found), psnr(&rendered.pixels(model, modelled))];
+    let mut view = RefinedView { world_from_camera: tracked, gain: gains(&found), residual_px: 0.0 };
     if config.refine_poses != Switch::Off {
         for _ in 0..config.tuning.validation.rounds {
             view.world_from_camera = pose::located(context, &picture, model.lit_color, model.lit_weight, &view);
-            camera = still(&view.world_from_camera);
-            found = seen(model, &camera);
-            view.gain = gains(&found, 1);
+            rendered = still(&view.world_from_camera);
+            found = rendered.pixels(model, lit);
+            view.gain = gains(&found);
         }
         for _ in 0..config.tuning.registration.rounds {
-            let expected = expected(model, context, &image, &camera, view.gain);
-            camera = register(context, &picture, camera, &expected).camera;
-            found = seen(model, &camera);
-            view.gain = gains(&found, 1);
+            let expected = rendered.expected(model, view.gain);
+            rendered = from(register(context, &picture, rendered.camera, &expected).camera);
+            found = rendered.pixels(model, lit);
+            view.gain = gains(&found);
         }
-        view.world_from_camera = camera.camera_from_world.inverse();
+        view.world_from_camera = rendered.camera.camera_from_world.inverse();
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
-    let own = seen(
-        &Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model },
-        &camera,
-    );
+    let own = Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model };
     let texture = model.detail.map(|_| {
         let vertices = Model { detail: None, ..*model };
         TexturePrediction {
-            vertices_psnr_db: psnr(&seen(&vertices, &camera), 1),
-            psnr_db: psnr(&found, 1),
-            vertices_sharpness: sharpness(&vertices, context, &image, &camera, view.gain),
-            sharpness: sharpness(model, context, &image, &camera, view.gain),
+            vertices_psnr_db: psnr(&rendered.pixels(&vertices, lit)),
+            psnr_db: psnr(&found),
+            vertices_sharpness: rendered.sharpness(&vertices, view.gain),
+            sharpness: rendered.sharpness(model, view.gain),
         }
     });
     let compared = (picture.camera.width as usize).div_ceil(stride) * (picture.camera.height as usize).div_ceil(stride);
     let error = WitnessError {
         name: frame.name.clone(),
-        lit_psnr_db: psnr(&found, 1),
-        model_psnr_db: psnr(&found, 2),
+        lit_psnr_db: psnr(&found),
+        model_psnr_db: psnr(&rendered.pixels(model, modelled)),
         coverage: if compared > 0 { found.len() as f64 / compared as f64 } else { 0.0 },
     };
     Some(Compared {
         error,
-        tracked_psnr_db: [psnr(&first, 1), psnr(&first, 2)],
-        own_psnr_db: psnr(&own, 1),
+        tracked_psnr_db,
+        own_psnr_db: psnr(&rendered.pixels(&own, lit)),
         moved_px: shift(context, &picture.camera, &tracked, &view.world_from_camera),
         texture,
     })
@@ -162,104 +160,98 @@ struct ValidationImage<'a> {
     stride: usize,
 }
 
-/// Observed and predicted colours of the pixels that are compared.
-fn pixels(model: &Model, context: &AssociationContext, image: &ValidationImage, camera: &MovingCamera) -> Vec<Pixel> {
-    let &ValidationImage { picture, lens, veil, stride } = image;
-    let mesh = context.mesh;
-    let points = camera.points(mesh);
-    let center = camera.camera_from_world.inverse().translation;
-    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
-    let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
-    let rows: Vec<usize> = (0..height).step_by(stride).collect();
-    let pixel = |(x, y): (usize, usize)| {
-        let triangle = raster.triangle[y * width + x];
-        // Beyond the lens there is no picture.
-        if triangle == MISS || distorted(lens, x, y).is_none() {
-            return None;
-        }
-        let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
-        let weights = raster.weights(x, y, corners);
-        let seen = picture.bytes(x, y).map(|b| f64::from(context.table[b as usize]));
-        let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
-        shade(model, triangle, weights, center).map(|[lit, modelled]| [seen, lit, modelled, veil])
-    };
-    rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
+/// The mesh as a camera sees it, beside the picture.
+struct Rendered<'a> {
+    context: &'a AssociationContext<'a>,
+    image: &'a ValidationImage<'a>,
+    camera: MovingCamera,
+    /// Of the camera, in the world.
+    center: DVec3,
+    /// Vertices in the camera's frame.
+    points: Vec<DVec3>,
+    raster: Raster,
 }
 
-/// The lit colours that the picture should have at the surface points that it shows.
-fn expected(
-    model: &Model,
-    context: &AssociationContext,
-    image: &ValidationImage,
-    camera: &MovingCamera,
-    gain: [f64; 3],
-) -> Vec<Expected> {
-    let (mesh, points) = (context.mesh, camera.points(context.mesh));
-    let raster = Raster::new(&points, &mesh.triangles, &image.picture.camera, context.near);
-    let (width, height) = (image.picture.camera.width as usize, image.picture.camera.height as usize);
-    let center = camera.camera_from_world.inverse().translation;
-    let step = ((width * height) as f64 / f64::from(context.config.tuning.registration.points)).sqrt().ceil() as usize;
-    let gain = DVec3::from_array(gain).as_vec3();
-    let at = |(x, y): (usize, usize)| {
-        let triangle = raster.triangle[y * width + x];
-        if triangle == MISS || distorted(image.lens, x, y).is_none() {
+impl<'a> Rendered<'a> {
+    fn new(context: &'a AssociationContext, image: &'a ValidationImage, camera: MovingCamera) -> Self {
+        let points = camera.points(context.mesh);
+        let raster = Raster::new(&points, &context.mesh.triangles, &image.picture.camera, context.near);
+        Self { context, image, camera, center: camera.camera_from_world.inverse().translation, points, raster }
+    }
+
+    /// The surface point at a pixel; `None` beside the mesh, and beyond the lens, where there is no picture.
+    fn at(&self, x: usize, y: usize) -> Option<SurfacePoint> {
+        let triangle = self.raster.triangle[y * self.raster.camera.width as usize + x];
+        if triangle == MISS || distorted(self.image.lens, x, y).is_none() {
             return None;
         }
-        let corners = mesh.triangles[triangle as usize].map(|i| i as usize);
-        let weights = raster.weights(x, y, corners.map(|i| points[i]));
-        let [lit, _] = shade(model, triangle, weights, center)?;
-        let point = corners.iter().zip(weights).map(|(&i, w)| mesh.positions[i] * w).sum();
-        let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
-        Some(Expected { point, color: (DVec3::from_array(lit).as_vec3() * gain + veil).max(Vec3::ZERO) })
-    };
-    let rows = (0..height).step_by(step.max(1));
-    rows.flat_map(|y| (0..width).step_by(step.max(1)).map(move |x| (x, y))).filter_map(at).collect()
-}
+        let corners = self.context.mesh.triangles[triangle as usize].map(|i| self.points[i as usize]);
+        Some(SurfacePoint { triangle, weights: self.raster.weights(x, y, corners), seen_from: self.center })
+    }
 
-/// Energy of the upper octave of the lit colours, rendered, over that of the picture, in blocks on one smooth surface.
-fn sharpness(
-    model: &Model,
-    context: &AssociationContext,
-    image: &ValidationImage,
-    camera: &MovingCamera,
-    gain: [f64; 3],
-) -> f64 {
-    let (picture, mesh) = (image.picture, context.mesh);
-    let points = camera.points(mesh);
-    let center = camera.camera_from_world.inverse().translation;
-    let raster = Raster::new(&points, &mesh.triangles, &picture.camera, context.near);
-    let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
-    let block = |x: usize, y: usize| {
-        let (mut observed, mut rendered) = ([0.0; 4], [0.0; 4]);
-        let mut depths = (f32::INFINITY, 0.0f32);
-        for (i, (x, y)) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].into_iter().enumerate() {
-            let triangle = raster.triangle[y * width + x];
-            if triangle == MISS || distorted(image.lens, x, y).is_none() {
-                return None;
-            }
-            let depth = raster.depth[y * width + x];
-            depths = (depths.0.min(depth), depths.1.max(depth));
-            let bytes = picture.bytes(x, y);
-            if bytes.iter().any(|&b| b >= context.clipped) {
-                return None;
-            }
-            let corners = mesh.triangles[triangle as usize].map(|i| points[i as usize]);
-            let weights = raster.weights(x, y, corners);
-            let [lit, _] = shade(model, triangle, weights, center)?;
-            // Photon noise and contrast are alike at all levels in square roots of light.
-            observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
+    /// Observed colours of the pixels that are compared, and `predicted` ones.
+    fn pixels(&self, model: &Model, predicted: fn(&Model, &SurfacePoint) -> Option<[f64; 3]>) -> Vec<Pixel> {
+        let &ValidationImage { picture, veil, stride, .. } = self.image;
+        let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
+        let rows: Vec<usize> = (0..height).step_by(stride).collect();
+        let pixel = |(x, y): (usize, usize)| {
+            let predicted = predicted(model, &self.at(x, y)?)?;
+            let seen = picture.bytes(x, y).map(|b| f64::from(self.context.table[b as usize]));
+            let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
+            Some([seen, predicted, veil])
+        };
+        rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
+    }
+
+    /// The lit colours that the picture should have at the surface points that it shows.
+    fn expected(&self, model: &Model, gain: [f64; 3]) -> Vec<Expected> {
+        let (context, image) = (self.context, self.image);
+        let (width, height) = (image.picture.camera.width as usize, image.picture.camera.height as usize);
+        let points = f64::from(context.config.tuning.registration.points);
+        let step = (((width * height) as f64 / points).sqrt().ceil() as usize).max(1);
+        let gain = DVec3::from_array(gain).as_vec3();
+        let at = |(x, y): (usize, usize)| {
+            let at = self.at(x, y)?;
+            let lit = lit(model, &at)?;
+            let corners = context.mesh.triangles[at.triangle as usize];
+            let point = corners.iter().zip(at.weights).map(|(&i, w)| context.mesh.positions[i as usize] * w).sum();
             let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
-            rendered[i] = f64::sqrt((0..3).map(|c| (gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
-        }
-        (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
-    };
-    let rows: Vec<usize> = (0..height.saturating_sub(1)).step_by(image.stride).collect();
-    let of_row = |&y: &usize| {
-        let blocks = (0..width.saturating_sub(1)).step_by(image.stride).filter_map(|x| block(x, y));
-        blocks.fold(OctaveEnergy::default(), OctaveEnergy::and)
-    };
-    let sums: Vec<OctaveEnergy> = rows.par_iter().map(of_row).collect();
-    sums.into_iter().fold(OctaveEnergy::default(), OctaveEnergy::and).kept()
+            Some(Expected { point, color: (DVec3::from_array(lit).as_vec3() * gain + veil).max(Vec3::ZERO) })
+        };
+        (0..height).step_by(step).flat_map(|y| (0..width).step_by(step).map(move |x| (x, y))).filter_map(at).collect()
+    }
+
+    /// Energy of the upper octave of the lit colours, rendered, over that of the picture, in blocks on one smooth surface.
+    fn sharpness(&self, model: &Model, gain: [f64; 3]) -> f64 {
+        let (context, image) = (self.context, self.image);
+        let (width, height) = (image.picture.camera.width as usize, image.picture.camera.height as usize);
+        let block = |x: usize, y: usize| {
+            let (mut observed, mut rendered) = ([0.0; 4], [0.0; 4]);
+            let mut depths = (f32::INFINITY, 0.0f32);
+            for (i, (x, y)) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)].into_iter().enumerate() {
+                let at = self.at(x, y)?;
+                let depth = self.raster.depth[y * width + x];
+                depths = (depths.0.min(depth), depths.1.max(depth));
+                let bytes = image.picture.bytes(x, y);
+                if bytes.iter().any(|&b| b >= context.clipped) {
+                    return None;
+                }
+                let lit = lit(model, &at)?;
+                // Photon noise and contrast are alike at all levels in square roots of light.
+                observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
+                let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
+                rendered[i] = f64::sqrt((0..3).map(|c| (gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
+            }
+            (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
+        };
+        let rows: Vec<usize> = (0..height.saturating_sub(1)).step_by(image.stride).collect();
+        let of_row = |&y: &usize| {
+            let blocks = (0..width.saturating_sub(1)).step_by(image.stride).filter_map(|x| block(x, y));
+            blocks.fold(OctaveEnergy::default(), OctaveEnergy::and)
+        };
+        let sums: Vec<OctaveEnergy> = rows.par_iter().map(of_row).collect();
+        sums.into_iter().fold(OctaveEnergy::default(), OctaveEnergy::and).kept()
+    }
 }
 
 /// RMS distance, in pixels, between the projections of the vertices that both poses see.
@@ -276,58 +268,89 @@ fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose)
     if count > 0.0 { f64::sqrt(sum / count) } else { 0.0 }
 }
 
-/// Lit colour and model colour of a surface point, linear RGB; `None` where a corner was never seen.
-fn shade(model: &Model, triangle: u32, weights: [f32; 3], camera: DVec3) -> Option<[[f64; 3]; 2]> {
-    let corners = model.reflection.mesh.triangles[triangle as usize];
-    if corners.iter().any(|&i| model.lit_weight[i as usize] <= 0.0) {
+/// A point of the mesh.
+struct SurfacePoint {
+    triangle: u32,
+    /// Barycentric weights.
+    weights: [f32; 3],
+    /// Position of the camera.
+    seen_from: DVec3,
+}
+
+impl SurfacePoint {
+    /// The corners' values mixed.
+    fn mix(&self, mesh: &Mesh, values: &[Vec3]) -> Vec3 {
+        mesh.triangles[self.triangle as usize].iter().zip(self.weights).map(|(&i, w)| values[i as usize] * w).sum()
+    }
+}
+
+/// True if a corner was never seen.
+fn is_unseen(model: &Model, at: &SurfacePoint) -> bool {
+    model.reflection.mesh.triangles[at.triangle as usize].iter().any(|&i| model.lit_weight[i as usize] <= 0.0)
+}
+
+/// Lit colour of a surface point, linear RGB; `None` where a corner was never seen.
+fn lit(model: &Model, at: &SurfacePoint) -> Option<[f64; 3]> {
+    if is_unseen(model, at) {
         return None;
     }
-    let mix = |values: &[Vec3]| corners.iter().zip(weights).map(|(&i, w)| values[i as usize] * w).sum::<Vec3>();
-    let (lit, diffuse) = match model.detail {
+    let lit = at.mix(model.reflection.mesh, model.lit_color);
+    let lit = match model.detail {
         Some(detail) => {
-            let (ratio, matte) = (detail.ratio(triangle, weights), mix(model.matte));
-            (mix(model.lit_color) - matte + ratio * matte, ratio * mix(model.diffuse))
+            let matte = at.mix(model.reflection.mesh, model.matte);
+            lit - matte + detail.ratio(at.triangle, at.weights) * matte
         }
-        None => (mix(model.lit_color), mix(model.diffuse)),
+        None => lit,
     };
-    let lit = lit.to_array().map(f64::from);
+    Some(lit.to_array().map(f64::from))
+}
+
+/// Model colour of a surface point, linear RGB; `None` where a corner was never seen.
+fn modelled(model: &Model, at: &SurfacePoint) -> Option<[f64; 3]> {
+    if is_unseen(model, at) {
+        return None;
+    }
+    let mesh = model.reflection.mesh;
+    let diffuse = at.mix(mesh, model.diffuse);
+    let diffuse = model.detail.map_or(diffuse, |detail| detail.ratio(at.triangle, at.weights) * diffuse);
     let mut modelled = diffuse.to_array().map(f64::from);
-    let (w_d, w_s) = corners.iter().zip(weights).fold((0.0, 0.0), |(d, s), (&i, w)| {
+    let corners = mesh.triangles[at.triangle as usize];
+    let (w_d, w_s) = corners.iter().zip(at.weights).fold((0.0, 0.0), |(d, s), (&i, w)| {
         let gloss = model.gloss[model.segment[i as usize] as usize];
         let (w_d, w_s) = if gloss.significant { (gloss.w_d, gloss.w_s) } else { (1.0, 0.0) };
         (d + w_d * f64::from(w), s + w_s * f64::from(w))
     });
     if w_s > 0.0 {
-        let position = mix(&model.reflection.mesh.positions);
-        let normal = mix(&model.reflection.mesh.normals).normalize_or_zero();
-        let to_camera = (camera - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
+        let position = at.mix(mesh, &mesh.positions);
+        let normal = at.mix(mesh, &mesh.normals).normalize_or_zero();
+        let to_camera = (at.seen_from - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
         let mirror = model.reflection.at(position, normal, to_camera).unwrap_or([0.0; 3]);
         for c in 0..3 {
             modelled[c] = w_d * modelled[c] + w_s * mirror[c]; // Eq. (13)
         }
     }
-    Some([lit, modelled])
+    Some(modelled)
 }
 
 /// Median exposure gain per channel over the pixels that are neither dark nor clipped.
-fn gains(pixels: &[Pixel], which: usize) -> [f64; 3] {
+fn gains(pixels: &[Pixel]) -> [f64; 3] {
     [0, 1, 2].map(|c| {
         let ratios = pixels
             .iter()
-            .filter(|p| p[which][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
-            .map(|p| (p[0][c] - p[3][c]) / p[which][c]);
+            .filter(|p| p[1][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
+            .map(|p| (p[0][c] - p[2][c]) / p[1][c]);
         median(ratios).unwrap_or(1.0)
     })
 }
 
 /// PSNR in 8-bit sRGB after one fitted exposure gain per channel.
-fn psnr(pixels: &[Pixel], which: usize) -> f64 {
+fn psnr(pixels: &[Pixel]) -> f64 {
     if pixels.is_empty() {
         return 0.0;
     }
-    let gain = gains(pixels, which);
+    let gain = gains(pixels);
     let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
-    let off = |p: &Pixel, c: usize| srgb(gain[c] * p[which][c] + p[3][c]) - srgb(p[0][c]);
+    let off = |p: &Pixel, c: usize| srgb(gain[c] * p[1][c] + p[2][c]) - srgb(p[0][c]);
     let square: f64 = pixels.iter().flat_map(|p| [0, 1, 2].map(|c| off(p, c).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // 8 bits cannot show less than the variance of their rounding.

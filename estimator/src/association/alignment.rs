@@ -67,19 +67,19 @@ pub fn align(
     });
     let problem = Problem { target, pixels, prior, held: held.is_some(), tuning };
     let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
-    let mut residuals = problem.residuals(&delta);
-    let scale = problem.robust_scale(&residuals)?;
-    let before = problem.cost(&residuals, scale, moved);
+    let mut now = problem.compared(&delta);
+    let scale = problem.robust_scale(&now.residuals)?;
+    let before = problem.cost(&now.residuals, scale, moved);
     let mut best = (before, delta, moved_now);
     for _ in 0..tuning.gauss_newton_steps {
-        let (step, step_px) = problem.gauss_newton_step(&residuals, &delta, &moved_now)?;
+        let (step, step_px) = problem.gauss_newton_step(&now, &moved_now)?;
         delta = pose_of(&step).compose(&delta);
         moved_now += step;
         if step_px < tuning.settled_px {
             break;
         }
-        residuals = problem.residuals(&delta);
-        let cost = problem.cost(&residuals, scale, &moved_now);
+        now = problem.compared(&delta);
+        let cost = problem.cost(&now.residuals, scale, &moved_now);
         if cost < best.0 {
             best = (cost, delta, moved_now);
         }
@@ -163,6 +163,24 @@ fn edge_pixels(predicted: &PredictedImage, min_strength: f32) -> Vec<EdgePixel> 
     pixels
 }
 
+/// The edge pixels under one pose.
+struct Compared {
+    /// Those that the image shows.
+    seen: Vec<Seen>,
+    /// RMS difference over the channels, `[edge pixel]`; NaN where there is none.
+    residuals: Vec<f32>,
+}
+
+/// An edge pixel that the image shows.
+struct Seen {
+    /// Number of the edge pixel.
+    index: u32,
+    /// Where its point is in the camera's frame.
+    point: DVec3,
+    /// Image minus prediction.
+    difference: Vec3,
+}
+
 /// The least-squares problem of one keyframe at one level.
 struct Problem<'a> {
     target: ImageLevel,
@@ -175,9 +193,9 @@ struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    /// Image minus prediction at an edge pixel's point moved by `delta`; `None` outside the image or where it is clipped.
-    fn difference(&self, delta: &Pose, pixel: &EdgePixel) -> Option<Vec3> {
-        let q = delta.transform(pixel.point);
+    /// Image minus prediction at an edge pixel's point, once it is moved to `q`; `None` outside the image or where it is
+    /// clipped.
+    fn difference(&self, q: DVec3, pixel: &EdgePixel) -> Option<Vec3> {
         if q.z <= 0.0 {
             return None;
         }
@@ -186,10 +204,16 @@ impl Problem<'_> {
         (!d.is_nan()).then_some(d)
     }
 
-    /// RMS difference over the channels, `[edge pixel]`; NaN where there is none.
-    fn residuals(&self, delta: &Pose) -> Vec<f32> {
-        let rms = |d: Vec3| (d.length_squared() / 3.0).sqrt();
-        self.pixels.iter().map(|p| self.difference(delta, p).map_or(f32::NAN, rms)).collect()
+    /// The edge pixels moved by `delta`, compared with the image.
+    fn compared(&self, delta: &Pose) -> Compared {
+        let mut compared = Compared { seen: Vec::new(), residuals: Vec::with_capacity(self.pixels.len()) };
+        for (index, pixel) in (0u32..).zip(&self.pixels) {
+            let point = delta.transform(pixel.point);
+            let difference = self.difference(point, pixel);
+            compared.residuals.push(difference.map_or(f32::NAN, |d| (d.length_squared() / 3.0).sqrt()));
+            compared.seen.extend(difference.map(|difference| Seen { index, point, difference }));
+        }
+        compared
     }
 
     /// Median residual; `None` if too few pixels have one.
@@ -211,17 +235,17 @@ impl Problem<'_> {
     }
 
     /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.
-    fn gauss_newton_step(&self, residuals: &[f32], delta: &Pose, moved: &Motion) -> Option<(Motion, f64)> {
+    fn gauss_newton_step(&self, now: &Compared, moved: &Motion) -> Option<(Motion, f64)> {
         let (mut hessian, mut gradient, mut motion) = (Matrix6::zeros(), Motion::zeros(), Matrix6::zeros());
-        let scale = self.robust_scale(residuals)?;
-        for (p, &r) in self.pixels.iter().zip(residuals) {
-            let x = f64::from(r) / (scale * TUKEY);
+        let scale = self.robust_scale(&now.residuals)?;
+        for &Seen { index, point, difference } in &now.seen {
+            let x = f64::from(now.residuals[index as usize]) / (scale * TUKEY);
             if x.is_nan() || x >= 1.0 {
                 continue;
             }
             let weight = (1.0 - x * x) * (1.0 - x * x);
-            let Some(difference) = self.difference(delta, p) else { continue };
-            let (ju, jv) = jacobian(delta.transform(p.point), &self.target.camera);
+            let p = &self.pixels[index as usize];
+            let (ju, jv) = jacobian(point, &self.target.camera);
             let (uu, uv, vv) = (p.du.dot(p.du), p.du.dot(p.dv), p.dv.dot(p.dv));
             let (gu, gv) = (p.du.dot(difference), p.dv.dot(difference));
             let (uu, uv, vv) = (f64::from(uu) * weight, f64::from(uv) * weight, f64::from(vv) * weight);

@@ -3,6 +3,7 @@
 use crate::factorisation::projection::Projection;
 use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
+use crate::numerics::dense::{self, add_scaled, dot};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -13,6 +14,9 @@ const ALBEDO_TOLERANCE: f64 = 1e-4;
 const SWEEPS: usize = 12;
 /// Regularisation weights tried, strongest first.
 const REGULARISATIONS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
+/// Columns that one task sums over the segments, and segments that one predicts at least.
+const COLUMNS: usize = 16;
+const SEGMENTS: usize = 16;
 /// Weight before one is chosen.
 pub(super) const FIRST_REGULARISATION: f64 = REGULARISATIONS[2];
 
@@ -28,7 +32,7 @@ pub(super) struct Alternation {
 impl Alternation {
     /// Coefficients of the light: `[k]`.
     pub fn light(&self, projection: &Projection) -> DVector<f64> {
-        projection.matrix() * &self.radiance
+        dense::times(projection.matrix(), &self.radiance)
     }
 
     /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
@@ -44,13 +48,11 @@ impl Alternation {
         if total <= 0.0 {
             return;
         }
-        let mut sum = (DMatrix::zeros(k, k), DVector::zeros(k));
-        statistics.iter().zip(&self.albedo).for_each(|(s, a)| add(&mut sum, s, *a));
         for _ in 0..tuning.max_turns {
-            let (gram, cross) = &sum;
+            let (gram, cross) = summed(statistics, &self.albedo, k);
             // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
             let strength = regularisation * total / DIRECTIONS as f64;
-            non_negative(gram, cross, projection, (strength, tuning.min_observability), &mut self.radiance);
+            non_negative(&gram, &cross, projection, (strength, tuning.min_observability), &mut self.radiance);
             let mean = self.radiance.mean();
             if mean <= 0.0 || !mean.is_finite() {
                 self.radiance.fill(1.0);
@@ -60,18 +62,15 @@ impl Alternation {
             let light = self.light(projection);
             // Eq. (11), as a_u = Σ f E / Σ E².
             let mut moved = 0.0f64;
-            sum.0.fill(0.0);
-            sum.1.fill(0.0);
-            for (s, a) in statistics.iter().zip(self.albedo.iter_mut()) {
-                let predicted = light.dot(&(&s.gram * &light));
+            let predicted = |s: &Statistics| light.dot(&dense::times(&s.gram, &light));
+            let predicted: Vec<f64> = statistics.par_iter().with_min_len(SEGMENTS).map(predicted).collect();
+            for ((s, a), predicted) in statistics.iter().zip(self.albedo.iter_mut()).zip(predicted) {
                 let explained = s.cross.dot(&light);
                 if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
                     let new = explained / predicted;
                     moved = moved.max(libm::log(new / *a).abs());
                     *a = new;
                 }
-                // For the next turn, while the segment's statistics are in the cache.
-                add(&mut sum, s, *a);
             }
             if moved < ALBEDO_TOLERANCE {
                 break;
@@ -113,11 +112,21 @@ impl Alternation {
     }
 }
 
-/// Adds a segment with this albedo to Σ a² G and Σ a g.
-fn add((gram, cross): &mut (DMatrix<f64>, DVector<f64>), s: &Statistics, albedo: f64) {
-    let square = albedo * albedo;
-    gram.iter_mut().zip(&s.gram).for_each(|(sum, g)| *sum += g * square);
-    cross.iter_mut().zip(&s.cross).for_each(|(sum, g)| *sum += g * albedo);
+/// Σ a² G and Σ a g over the segments; `albedo` is `[segment]`.
+fn summed(statistics: &[Statistics], albedo: &[f64], k: usize) -> (DMatrix<f64>, DVector<f64>) {
+    let (mut gram, mut cross) = (DMatrix::zeros(k, k), DVector::zeros(k));
+    // Every task sums some columns over all segments, so that the order is that of the segments. All is symmetric.
+    gram.as_mut_slice().par_chunks_mut(k * COLUMNS).enumerate().for_each(|(task, sums)| {
+        for (s, a) in statistics.iter().zip(albedo) {
+            let columns = s.gram.as_slice().chunks_exact(k).enumerate().skip(task * COLUMNS);
+            for (sum, (j, g)) in sums.chunks_exact_mut(k).zip(columns) {
+                add_scaled(&mut sum[..=j], a * a, &g[..=j]);
+            }
+        }
+    });
+    gram.fill_lower_triangle_with_upper_triangle();
+    statistics.iter().zip(albedo).for_each(|(s, a)| add_scaled(cross.as_mut_slice(), *a, s.cross.as_slice()));
+    (gram, cross)
 }
 
 /// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from the given r. The gradient is
@@ -130,25 +139,27 @@ fn non_negative(
     (strength, min_observability): (f64, f64),
     r: &mut DVector<f64>,
 ) {
-    let projection = projection.matrix();
-    let columns = gram * projection;
-    let observability: Vec<f64> = (0..r.len()).map(|d| projection.column(d).dot(&columns.column(d)).max(0.0)).collect();
+    let (k, projection) = (projection.coefficients(), projection.matrix());
+    let products = dense::product(gram, projection);
+    let columns = || projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
+    let observability: Vec<f64> = columns().map(|(column, product)| dot(column, product).max(0.0)).collect();
     let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
-    let mut gradient = gram * (projection * &*r) - cross;
+    // (observability, strength) of every direction.
+    let held = observability.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
+    let held: Vec<(f64, f64)> = held.collect();
+    let mut gradient = dense::times(gram, &dense::times(projection, r)) - cross;
     for _ in 0..SWEEPS {
         let (mut moved, mut size) = (0.0, 0.0);
-        for d in 0..r.len() {
-            let column = projection.column(d);
-            let strength = strength * (1.0 + least / observability[d].max(1e-4 * least));
-            let diagonal = observability[d] + strength;
+        for (d, ((column, product), &(observability, strength))) in columns().zip(&held).enumerate() {
+            let diagonal = observability + strength;
             if diagonal <= 0.0 {
                 continue;
             }
-            let slope = column.dot(&gradient) + strength * (r[d] - 1.0);
+            let slope = dot(column, gradient.as_slice()) + strength * (r[d] - 1.0);
             let step = (r[d] - slope / diagonal).max(0.0) - r[d];
             if step != 0.0 {
                 r[d] += step;
-                gradient.axpy(step, &columns.column(d), 1.0);
+                add_scaled(gradient.as_mut_slice(), step, product);
                 moved += step * step;
             }
             size += r[d] * r[d];

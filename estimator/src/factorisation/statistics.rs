@@ -2,6 +2,7 @@
 
 use crate::factorisation::held_out;
 use crate::factorisation::problem::Observed;
+use crate::numerics::dense;
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -69,7 +70,7 @@ impl Statistics {
 
     /// Σ w (f − a E)².
     pub fn residual(&self, albedo: f64, light: &DVector<f64>) -> f64 {
-        let predicted = light.dot(&(&self.gram * light));
+        let predicted = light.dot(&dense::times(&self.gram, light));
         (self.square - 2.0 * albedo * self.cross.dot(light) + albedo * albedo * predicted).max(0.0)
     }
 }
@@ -108,7 +109,7 @@ impl Folds {
                 sum.square += w * f * f;
                 sum.weight += w;
             }
-            sum.gram.gemm(1.0, &weighted, &rows.transpose(), 0.0);
+            sum.gram = dense::upper_product(&weighted, &rows.transpose());
             sum
         };
         let partial: Vec<[Statistics; 2]> =

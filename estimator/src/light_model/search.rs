@@ -68,15 +68,16 @@ impl<'a> Search<'a> {
         let gains = self.gains(&values, &without, &places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
-        let mut tried: Vec<(f64, Vec3)> = Vec::new();
-        for i in order {
-            if tried.iter().all(|(_, p)| ((places[i] - *p) / step).length() > APART) {
-                tried.push((self.cost(&values, places[i]), places[i]));
+        let mut apart: Vec<Vec3> = Vec::new();
+        for place in order.into_iter().map(|i| places[i]) {
+            if apart.iter().all(|p| ((place - *p) / step).length() > APART) {
+                apart.push(place);
             }
-            if tried.len() >= SOLVED {
+            if apart.len() >= SOLVED {
                 break;
             }
         }
+        let tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(&values, p), p)).collect();
         let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
         Some(self.refined(&values, best, step.min_element()))
     }

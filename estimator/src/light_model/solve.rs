@@ -7,6 +7,7 @@
 
 use crate::factorisation::Projection;
 use crate::light_model::samples::{DARK_FLOOR, Samples};
+use crate::numerics::dense::{self, add_scaled, dot};
 use crate::numerics::robust::robust_sigma;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -275,10 +276,10 @@ impl Statistics {
     fn add(&mut self, segment: usize, weight: f64, color: f64, row: &[f64]) {
         self.square[segment] += weight * color * color;
         self.weight[segment] += weight;
-        self.cross[segment].iter_mut().zip(row).for_each(|(c, t)| *c += weight * color * t);
+        add_scaled(self.cross[segment].as_mut_slice(), weight * color, row);
         for (j, t) in row.iter().enumerate() {
             let scaled = weight * t;
-            self.gram.column_mut(j).iter_mut().zip(row).take(j + 1).for_each(|(g, r)| *g += scaled * r);
+            add_scaled(&mut self.gram.column_mut(j).as_mut_slice()[..=j], scaled, row);
         }
     }
 
@@ -326,32 +327,37 @@ impl NonNegative<'_> {
     fn solve(&self, strength: f64, r: &mut DVector<f64>, start: &DVector<f64>) -> DVector<f64> {
         let k = self.projection.nrows();
         let dim = self.gram.nrows();
-        let directions = if k > 0 { r.len() } else { 0 };
-        let columns = self.gram.columns(0, k) * self.projection;
-        let observed: Vec<f64> =
-            (0..directions).map(|d| self.projection.column(d).dot(&columns.column(d).rows(0, k)).max(0.0)).collect();
+        let products = dense::product(&self.gram.columns(0, k).into_owned(), self.projection);
+        // Columns of the projection, the same times the form; none where the light has no coefficients.
+        let columns = || {
+            let projection = self.projection.as_slice().chunks_exact(k.max(1));
+            projection.zip(products.as_slice().chunks_exact(dim))
+        };
+        let observed: Vec<f64> = columns().map(|(column, product)| dot(column, &product[..k]).max(0.0)).collect();
         let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
         let mut z = start.clone();
-        z.rows_mut(0, k).copy_from(&(self.projection * &*r));
-        let mut gradient = &self.gram * &z - &self.cross;
-        let strength = strength / directions.max(1) as f64;
+        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
+        let mut gradient = dense::times(&self.gram, &z) - &self.cross;
+        let strength = strength / observed.len().max(1) as f64;
+        // (observability, strength) of every direction.
+        let held = observed.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
+        let held: Vec<(f64, f64)> = held.collect();
         for _ in 0..SWEEPS {
             let (mut moved, mut size) = (0.0, 0.0);
             let mean = r.mean();
-            for d in 0..directions {
-                let strength = strength * (1.0 + least / observed[d].max(1e-4 * least));
-                let diagonal = observed[d] + strength;
+            for (d, ((column, product), &(observed, strength))) in columns().zip(&held).enumerate() {
+                let diagonal = observed + strength;
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let slope = self.projection.column(d).dot(&gradient.rows(0, k)) + strength * (r[d] - mean);
+                let slope = dot(column, &gradient.as_slice()[..k]) + strength * (r[d] - mean);
                 let step = (r[d] - slope / diagonal).max(0.0) - r[d];
                 if step != 0.0 {
                     r[d] += step;
-                    gradient.axpy(step, &columns.column(d), 1.0);
-                    moved += step * step * observed[d];
+                    add_scaled(gradient.as_mut_slice(), step, product);
+                    moved += step * step * observed;
                 }
-                size += r[d] * r[d] * observed[d];
+                size += r[d] * r[d] * observed;
             }
             for j in dim - self.extras..dim {
                 let diagonal = self.gram[(j, j)];
@@ -362,7 +368,7 @@ impl NonNegative<'_> {
                 let step = (z[j] - gradient[j] / diagonal).clamp(0.0, most) - z[j];
                 if step != 0.0 {
                     z[j] += step;
-                    gradient.axpy(step, &self.gram.column(j), 1.0);
+                    add_scaled(gradient.as_mut_slice(), step, self.gram.column(j).as_slice());
                     moved += step * step * diagonal;
                 }
                 size += z[j] * z[j] * diagonal;
@@ -371,7 +377,7 @@ impl NonNegative<'_> {
                 break;
             }
         }
-        z.rows_mut(0, k).copy_from(&(self.projection * &*r));
+        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
         z
     }
 }

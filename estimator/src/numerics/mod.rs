@@ -1,7 +1,8 @@
-//! Mathematics independent of scenes: real spherical harmonics ([`sh`]), robust statistics ([`robust`]), seeded random
-//! directions ([`random`]), rotations ([`rotation`]) and CIELAB ([`cielab`]).
+//! Mathematics independent of scenes: real spherical harmonics ([`sh`]), products of matrices ([`dense`]), robust
+//! statistics ([`robust`]), seeded random directions ([`random`]), rotations ([`rotation`]) and CIELAB ([`cielab`]).
 
 pub mod cielab;
+pub mod dense;
 pub mod random;
 pub mod robust;
 pub mod rotation;

@@ -108,13 +108,13 @@ pub fn eval_f32(direction: Vec3, values: &mut [f32]) {
     values.iter_mut().zip(wide).for_each(|(v, w)| *v = *w as f32);
 }
 
-/// `Σ_k coefficients[k] Y_k(direction)`.
+/// `Σ_k coefficients[k] Y_k(direction)`, for `N` sets of coefficients at once.
 #[must_use]
-pub fn radiance(coefficients: &[[f64; 3]], direction: DVec3) -> [f64; 3] {
+pub fn radiance<const N: usize>(coefficients: &[[f64; N]], direction: DVec3) -> [f64; N] {
     let mut y = [0.0; MAX_COEFFICIENTS];
     let y = &mut y[..coefficients.len().min(MAX_COEFFICIENTS)];
     eval(direction, y);
-    let mut sum = [0.0; 3];
+    let mut sum = [0.0; N];
     for (c, y) in coefficients.iter().zip(y) {
         for (s, c) in sum.iter_mut().zip(c) {
             *s += c * *y;

@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::numerics::robust::median;
 use crate::specular::gloss::Gloss;
+use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::observations::MirrorObservations;
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
@@ -12,14 +13,15 @@ use rayon::prelude::*;
 /// The median over views of the observations minus their gloss, linear RGB: `[vertex]`. `segment` is `[vertex]`, `gloss`
 /// `[segment]`. Vertices of matte segments keep their lit colour.
 #[must_use]
-pub fn clean(
+pub(super) fn clean(
     reflection: &Reflection,
+    rays: &MirrorRays,
     association: &Association,
     segment: &[u32],
     gloss: &[Gloss],
     tuning: &SpecularTuning,
 ) -> Vec<Vec3> {
-    let observations = MirrorObservations::new(reflection, association, tuning.min_views);
+    let observations = MirrorObservations::new(reflection, rays, association, tuning.min_views);
     (0..segment.len())
         .into_par_iter()
         .map(|i| {

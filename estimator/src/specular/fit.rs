@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::numerics::robust::{median, robust_sigma};
 use crate::specular::gloss::{Gloss, LOBES};
+use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::observations::{MirrorObservation, MirrorObservations};
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
@@ -29,19 +30,19 @@ struct Sample {
     mirror: [f64; LOBES.len()],
     /// The same minus its median over the vertex's views.
     change: [f64; LOBES.len()],
-    robust: f64,
 }
 
 /// Fits every segment; `segment` is `[vertex]`, the result `[segment]`.
 #[must_use]
-pub fn fit(
+pub(super) fn fit(
     reflection: &Reflection,
+    rays: &MirrorRays,
     association: &Association,
     segment: &[u32],
     segments: usize,
     tuning: &SpecularTuning,
 ) -> Vec<Gloss> {
-    let observations = MirrorObservations::new(reflection, association, tuning.min_views);
+    let observations = MirrorObservations::new(reflection, rays, association, tuning.min_views);
     let views = |i: usize| (association.offsets[i + 1] - association.offsets[i]) as usize;
     let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); segments];
     for (i, s) in segment.iter().enumerate() {
@@ -50,14 +51,14 @@ pub fn fit(
         }
     }
     of_segment
-        .into_iter()
+        .into_par_iter()
         .map(|vertices| {
             let total: usize = vertices.iter().map(|&i| views(i)).sum();
             let stride = total.div_ceil(tuning.max_observations as usize).max(1);
             let chosen: Vec<usize> = vertices.into_iter().step_by(stride).collect();
             let found: Vec<MirrorObservation> =
                 chosen.par_iter().flat_map_iter(|&i| observations.of(i, false)).collect();
-            SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |mut fit| fit.gloss())
+            SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |fit| fit.gloss())
         })
         .collect()
 }
@@ -86,7 +87,6 @@ impl<'a> SegmentFit<'a> {
                 keyframe: o.keyframe,
                 mirror: o.mirror.map(|m| m[c] * scale),
                 change: o.change.map(|m| m[c] * scale),
-                robust: 1.0,
             }
         };
         let samples: Vec<Sample> = observations.iter().flat_map(|o| [0, 1, 2].map(|c| sample(o, c))).collect();
@@ -95,25 +95,24 @@ impl<'a> SegmentFit<'a> {
     }
 
     /// The lobe and weight that explain the changes between views best; the level of the colours may raise the weight.
-    fn gloss(&mut self) -> Gloss {
-        let mut best: Option<(f64, Gloss)> = None;
-        for lobe in 0..LOBES.len() {
-            let Some((weight, error)) = self.change_weight(lobe) else { continue };
+    fn gloss(&self) -> Gloss {
+        let by_changes = |lobe: usize| {
+            let (weight, error) = self.change_weight(lobe)?;
             // The loss has the same unit for every lobe.
             let residual = |s: &Sample| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs();
             let loss: f64 = self.samples.iter().map(|s| self.huber(residual(s) / self.spread)).sum();
             let significant = weight > self.tuning.min_significance * error;
-            let gloss = Gloss { error, significant, lobe, lobe_weight: weight.max(0.0), ..Gloss::NONE };
-            if best.is_none_or(|(least, _)| loss < least) {
-                best = Some((loss, gloss));
-            }
-        }
+            Some((loss, Gloss { error, significant, lobe, lobe_weight: weight.max(0.0), ..Gloss::NONE }))
+        };
+        let tried: Vec<Option<(f64, Gloss)>> = (0..LOBES.len()).into_par_iter().map(by_changes).collect();
+        let best = tried.into_iter().flatten().reduce(|best, next| if next.0 < best.0 { next } else { best });
         let Some((_, mut gloss)) = best else { return Gloss::NONE };
         if gloss.significant {
             let mut least = f64::INFINITY;
             let by_change = gloss.lobe_weight;
-            for lobe in 0..LOBES.len() {
-                let Some((level, error, loss)) = self.level_weight(lobe) else { continue };
+            let levels: Vec<_> = (0..LOBES.len()).into_par_iter().map(|lobe| self.level_weight(lobe)).collect();
+            for (lobe, level) in levels.into_iter().enumerate() {
+                let Some((level, error, loss)) = level else { continue };
                 if loss < least && level > by_change + self.tuning.min_significance * error {
                     least = loss;
                     gloss.lobe = lobe;
@@ -131,42 +130,44 @@ impl<'a> SegmentFit<'a> {
         if r < 1.0 { r * r } else { 2.0 * r - 1.0 }
     }
 
-    /// Sets Huber's weights for these residuals and returns their robust standard deviation.
-    fn reweight(&mut self, residual: impl Fn(&Sample) -> f64) -> f64 {
-        let sigma = robust_sigma(self.samples.iter().map(&residual)) + 1e-9;
+    /// Huber's weights for these residuals, `[sample]`, and their robust standard deviation.
+    fn reweighted(&self, residual: impl Fn(&Sample) -> f64) -> (Vec<f64>, f64) {
+        let mut weights: Vec<f64> = self.samples.iter().map(residual).collect();
+        let sigma = robust_sigma(weights.iter().copied()) + 1e-9;
         let bound = self.tuning.huber * sigma;
-        self.samples.iter_mut().for_each(|s| s.robust = bound / residual(s).max(bound));
-        sigma
+        weights.iter_mut().for_each(|w| *w = bound / w.max(bound));
+        (weights, sigma)
     }
 
     /// Robust weight of a lobe from the changes between views, with its standard error.
-    fn change_weight(&mut self, lobe: usize) -> Option<(f64, f64)> {
-        self.samples.iter_mut().for_each(|s| s.robust = 1.0);
+    fn change_weight(&self, lobe: usize) -> Option<(f64, f64)> {
+        let mut robust = vec![1.0; self.samples.len()];
         let (mut weight, mut error) = (0.0, f64::INFINITY);
         for _ in 0..ROUNDS {
-            let (square, cross) = self.samples.iter().fold((0.0, 0.0), |(square, cross), s| {
+            let (square, cross) = self.samples.iter().zip(&robust).fold((0.0, 0.0), |(square, cross), (s, robust)| {
                 let change = s.change[lobe];
-                (square + s.robust * change * change, cross + s.robust * change * (s.seen - s.lit))
+                (square + robust * change * change, cross + robust * change * (s.seen - s.lit))
             });
             if square <= 0.0 {
                 return None;
             }
             weight = cross / square;
-            let sigma = self.reweight(|s| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs());
+            let sigma;
+            (robust, sigma) = self.reweighted(|s| (s.seen - s.lit - weight.max(0.0) * s.change[lobe]).abs());
             error = sigma * libm::sqrt(self.tuning.correlated_observations / square);
         }
-        Some((weight, error.max(self.jackknife(lobe))))
+        Some((weight, error.max(self.jackknife(lobe, &robust))))
     }
 
     /// Standard error of the weight of a lobe by leaving out one keyframe at a time (Efron, Stein 1981): an error of a whole
     /// picture, as of its exposure or its pose, is one error however many vertices show it. Huber's weights are kept.
-    fn jackknife(&self, lobe: usize) -> f64 {
+    fn jackknife(&self, lobe: usize, robust: &[f64]) -> f64 {
         let keyframes = self.samples.iter().map(|s| s.keyframe + 1).max().unwrap_or(0);
         let mut sums = vec![(0.0, 0.0); keyframes];
-        for s in &self.samples {
+        for (s, robust) in self.samples.iter().zip(robust) {
             let change = s.change[lobe];
-            sums[s.keyframe].0 += s.robust * change * change;
-            sums[s.keyframe].1 += s.robust * change * (s.seen - s.lit);
+            sums[s.keyframe].0 += robust * change * change;
+            sums[s.keyframe].1 += robust * change * (s.seen - s.lit);
         }
         let (square, cross) = sums.iter().fold((0.0, 0.0), |a, s| (a.0 + s.0, a.1 + s.1));
         let without = sums.iter().filter(|s| s.0 > 0.0).map(|s| (cross - s.1) / (square - s.0));
@@ -179,18 +180,18 @@ impl<'a> SegmentFit<'a> {
     /// Robust weight of a lobe from the level of the colours, e_j f~_ij = a_c E_i + w f_s,ij with one albedo per channel: weight,
     /// standard error, loss. Gloss that is equal in all views shows here only, best in dark channels. Light that was estimated
     /// too smooth makes the weight from the changes too small, but hardly affects the level.
-    fn level_weight(&mut self, lobe: usize) -> Option<(f64, f64, f64)> {
-        self.samples.iter_mut().for_each(|s| s.robust = 1.0);
+    fn level_weight(&self, lobe: usize) -> Option<(f64, f64, f64)> {
+        let mut robust = vec![1.0; self.samples.len()];
         let (mut weight, mut error, mut loss) = (0.0, f64::INFINITY, f64::INFINITY);
         for _ in 0..ROUNDS {
             let (mut normal, mut target) = (Matrix4::<f64>::zeros(), Vector4::<f64>::zeros());
-            for s in &self.samples {
+            for (s, robust) in self.samples.iter().zip(&robust) {
                 let (c, e, m) = (s.channel, s.irradiance, s.mirror[lobe]);
-                normal[(c, c)] += s.robust * e * e;
-                normal[(c, 3)] += s.robust * e * m;
-                normal[(3, 3)] += s.robust * m * m;
-                target[c] += s.robust * e * s.seen;
-                target[3] += s.robust * m * s.seen;
+                normal[(c, c)] += robust * e * e;
+                normal[(c, 3)] += robust * e * m;
+                normal[(3, 3)] += robust * m * m;
+                target[c] += robust * e * s.seen;
+                target[3] += robust * m * s.seen;
             }
             for c in 0..3 {
                 normal[(3, c)] = normal[(c, 3)];
@@ -198,7 +199,8 @@ impl<'a> SegmentFit<'a> {
             let inverse = normal.try_inverse()?;
             let x = inverse * target;
             let residual = |s: &Sample| (s.seen - x[s.channel] * s.irradiance - x[3] * s.mirror[lobe]).abs();
-            let sigma = self.reweight(residual);
+            let sigma;
+            (robust, sigma) = self.reweighted(residual);
             let variance = self.tuning.correlated_observations * inverse[(3, 3)].max(0.0);
             (weight, error) = (x[3], sigma * libm::sqrt(variance));
             let total = self.samples.iter().map(|s| self.huber(residual(s) / self.spread)).sum::<f64>();

@@ -5,12 +5,13 @@
 //! one vertex, e_j f~_ij − f_i = w_s (f_s,ij − median over j of f_s,ij): the diffuse part cancels whatever its albedo, and f
 //! and f_s cannot be collinear. w_d then follows from Eq. (13) as it stands.
 
-pub mod clean;
-pub mod fit;
+mod clean;
+mod fit;
 mod gloss;
 pub mod material;
+mod mirror_rays;
 mod observations;
-pub mod prediction;
+mod prediction;
 pub mod refit;
 mod reflection;
 

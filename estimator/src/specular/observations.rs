@@ -4,8 +4,8 @@ use crate::association::Association;
 use crate::numerics::robust::median;
 use crate::numerics::sh;
 use crate::specular::gloss::LOBES;
-use crate::specular::reflection::Reflection;
-use glam::DVec3;
+use crate::specular::mirror_rays::{MirrorRay, MirrorRays};
+use crate::specular::reflection::{BLURRED, Reflection};
 
 /// One observation of a vertex. Colours are linear RGB.
 pub(super) struct MirrorObservation {
@@ -28,38 +28,43 @@ pub(super) struct MirrorObservation {
 /// The observations of the surface with predicted reflections.
 pub(super) struct MirrorObservations<'a> {
     reflection: Reflection<'a>,
-    lights: [Vec<[f64; 3]>; LOBES.len()],
+    rays: &'a MirrorRays<'a>,
+    /// `[k][lobe and channel]`.
+    lights: Vec<[f64; BLURRED]>,
     association: &'a Association,
     min_views: usize,
 }
 
 impl<'a> MirrorObservations<'a> {
     /// Vertices with fewer than `min_views` views have no observations.
-    pub fn new(reflection: &Reflection<'a>, association: &'a Association, min_views: u32) -> Self {
+    pub fn new(
+        reflection: &Reflection<'a>,
+        rays: &'a MirrorRays<'a>,
+        association: &'a Association,
+        min_views: u32,
+    ) -> Self {
         let min_views = min_views as usize;
-        Self { reflection: *reflection, lights: reflection.blurred(), association, min_views }
+        Self { reflection: *reflection, rays, lights: reflection.blurred(), association, min_views }
     }
 
     /// The observations of a vertex whose mirror direction is free. With `blocked`, also those whose mirror direction hits a
     /// surface that was seen: Eq. (13) drops them, but they hold gloss like the others.
     pub fn of(&self, vertex: usize, blocked: bool) -> Vec<MirrorObservation> {
-        let Self { reflection, lights, association, .. } = self;
-        let (position, normal) = (reflection.mesh.positions[vertex], reflection.mesh.normals[vertex]);
+        let Self { reflection, rays, lights, association, .. } = self;
         let lit = association.lit_color[vertex].to_array().map(f64::from);
         let irradiance = reflection.irradiance[vertex].to_array().map(f64::from);
         let range = association.offsets[vertex] as usize..association.offsets[vertex + 1] as usize;
         let mut found: Vec<MirrorObservation> = association.observations[range]
             .iter()
-            .filter_map(|o| {
-                let camera = association.views[o.keyframe as usize].world_from_camera.translation;
-                let to_camera = (camera - position.as_dvec3()).normalize_or(DVec3::Z).as_vec3();
-                let mirror = match reflection.mirror(position, normal, to_camera)? {
-                    (direction, None) => {
-                        lights.each_ref().map(|l| sh::radiance(l, direction.as_dvec3()).map(|x| x.max(0.0)))
+            .zip(rays.of(association, vertex))
+            .filter_map(|(o, ray)| {
+                let MirrorRay { direction, hit } = (*ray)?;
+                let mirror = match hit {
+                    None => {
+                        let seen = sh::radiance(lights, direction.as_dvec3()).map(|x| x.max(0.0));
+                        std::array::from_fn(|lobe| [0, 1, 2].map(|c| seen[3 * lobe + c]))
                     }
-                    (direction, Some(hit)) if blocked => {
-                        [reflection.lit_at(association, direction, &hit)?; LOBES.len()]
-                    }
+                    Some(hit) if blocked => [reflection.lit_at(association, direction, &hit)?; LOBES.len()],
                     _ => return None,
                 };
                 let (seen, weight) = (o.color.map(f64::from), f64::from(o.weight));

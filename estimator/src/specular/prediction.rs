@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::numerics::robust::SampleMean;
 use crate::specular::gloss::Gloss;
+use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::observations::MirrorObservations;
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
@@ -46,14 +47,15 @@ pub struct Materials<'a> {
 
 /// Predicts the observations as albedo · E plus gloss per segment.
 #[must_use]
-pub fn predict(
+pub(super) fn predict(
     reflection: &Reflection,
+    rays: &MirrorRays,
     association: &Association,
     materials: Materials,
     tuning: &SpecularTuning,
 ) -> Prediction {
     let Materials { segment, albedo, gloss } = materials;
-    let observations = MirrorObservations::new(reflection, association, tuning.min_views);
+    let observations = MirrorObservations::new(reflection, rays, association, tuning.min_views);
     let stride = segment.len().div_ceil(tuning.judged_vertices as usize).max(1);
     let judged: Vec<usize> = (0..segment.len()).step_by(stride).collect();
     let vertices = judged.par_iter().map(|&i| {

@@ -8,6 +8,7 @@ use crate::specular::clean::clean;
 use crate::specular::fit::fit;
 use crate::specular::gloss::Gloss;
 use crate::specular::material;
+use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::prediction::{Materials, Prediction, predict};
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
@@ -61,7 +62,8 @@ pub fn refit(
     options: &FactorisationOptions,
     tuning: &SpecularTuning,
 ) -> Refitted {
-    let (found, gloss, exposure_change) = fit_and_expose(surface, fields, found, options, tuning);
+    let rays = MirrorRays::new(surface.mesh, surface.scene);
+    let (found, gloss, exposure_change) = fit_and_expose(surface, &rays, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
     let decision = |without_gloss, with_gloss| Decision::Specular {
         cleaned: glossy > 0,
@@ -74,7 +76,7 @@ pub fn refit(
     if glossy == 0 {
         return Refitted { found, gloss, decisions: vec![decision(None, Vec::new())] };
     }
-    let refitter = Refitter { surface, fields, tuning };
+    let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights are the evidence: the prediction hangs on the error of the light more than on gloss, so it does not
     // decide whether gloss is there.
     let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
@@ -93,13 +95,14 @@ pub fn refit(
 /// Returns the RMS change of the log gains besides.
 fn fit_and_expose(
     surface: &Surface,
+    rays: &MirrorRays,
     fields: &mut Association,
     found: Factorised,
     options: &FactorisationOptions,
     tuning: &SpecularTuning,
 ) -> (Factorised, Vec<Gloss>, Option<f64>) {
     let fit = |found: &Factorised, fields: &Association| {
-        fit(&surface.reflection(found), fields, surface.segment, surface.segments, tuning)
+        fit(&surface.reflection(found), rays, fields, surface.segment, surface.segments, tuning)
     };
     let gloss = fit(&found, fields);
     if !gloss.iter().any(|g| g.significant) {
@@ -129,6 +132,7 @@ impl Surface<'_> {
 
 struct Refitter<'a> {
     surface: &'a Surface<'a>,
+    rays: &'a MirrorRays<'a>,
     fields: &'a Association,
     tuning: &'a SpecularTuning,
 }
@@ -136,19 +140,19 @@ struct Refitter<'a> {
 impl Refitter<'_> {
     fn predict(&self, found: &Factorised, gloss: &[Gloss]) -> Prediction {
         let materials = Materials { segment: self.surface.segment, albedo: &found.solution.albedo, gloss };
-        predict(&self.surface.reflection(found), self.fields, materials, self.tuning)
+        predict(&self.surface.reflection(found), self.rays, self.fields, materials, self.tuning)
     }
 
     /// Lit colours without gloss, and light and gloss from them.
     fn cleaned<'o>(&self, from: &Factorised, gloss: &[Gloss], options: FactorisationOptions<'o>) -> Cleaned<'o> {
-        let Self { surface, fields, tuning } = *self;
-        let lit_color = clean(&surface.reflection(from), fields, surface.segment, gloss, tuning);
+        let Self { surface, rays, fields, tuning } = *self;
+        let lit_color = clean(&surface.reflection(from), rays, fields, surface.segment, gloss, tuning);
         // With more bands the regularisation weight is chosen again.
         let same_bands = from.solution.light.len() == options.bands * options.bands;
         let start = same_bands.then(|| from.start());
         let colors = surface.colors(&lit_color, fields);
         let found = factorise(Arc::clone(&from.transfer.traced), &colors, &options, start);
-        let gloss = fit(&surface.reflection(&found), fields, surface.segment, surface.segments, tuning);
+        let gloss = fit(&surface.reflection(&found), rays, fields, surface.segment, surface.segments, tuning);
         let prediction = self.predict(&found, &gloss);
         Cleaned { found, lit_color, gloss, prediction, options }
     }

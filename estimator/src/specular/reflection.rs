@@ -5,8 +5,12 @@ use crate::factorisation::Factorised;
 use crate::numerics::sh;
 use crate::rays::{Hit, RayScene};
 use crate::specular::gloss::LOBES;
+use crate::specular::mirror_rays::{MirrorRay, mirror_ray};
 use glam::Vec3;
 use recordings::types::Mesh;
+
+/// Lobes times channels.
+pub(super) const BLURRED: usize = 3 * LOBES.len();
 
 /// What predicts reflected light.
 #[derive(Clone, Copy)]
@@ -30,25 +34,11 @@ impl<'a> Reflection<'a> {
         Self { mesh, scene, light, irradiance: &found.irradiance }
     }
 
-    /// The mirror direction at a surface point seen along the unit vector `to_camera`, and what it hits; `None` if the surface
-    /// is seen from behind.
-    pub(super) fn mirror(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<(Vec3, Option<Hit>)> {
-        let cosine = normal.dot(to_camera);
-        if cosine <= 0.0 || !cosine.is_finite() {
-            return None;
-        }
-        let mirror = (normal * (2.0 * cosine) - to_camera).normalize_or_zero();
-        let hit = self.scene.closest_hit(self.scene.offset_origin(position, normal), mirror);
-        (mirror != Vec3::ZERO).then_some((mirror, hit))
-    }
-
     /// f_s of Eq. (13), linear RGB: light in the mirror direction; `None` if the scene blocks it.
     #[must_use]
     pub fn at(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<[f64; 3]> {
-        match self.mirror(position, normal, to_camera)? {
-            (mirror, None) => Some(sh::radiance(self.light, mirror.as_dvec3()).map(|x| x.max(0.0))),
-            _ => None,
-        }
+        let MirrorRay { direction, hit } = mirror_ray(self.scene, position, normal, to_camera)?;
+        hit.is_none().then(|| sh::radiance(self.light, direction.as_dvec3()).map(|x| x.max(0.0)))
     }
 
     /// Lit colour at the hit of a mirror direction; `None` where it was never seen from its lit side.
@@ -61,14 +51,10 @@ impl<'a> Reflection<'a> {
             .then(|| mix(&association.lit_color).to_array().map(f64::from))
     }
 
-    /// The light blurred by each lobe: `[lobe][k][channel]`.
-    pub(super) fn blurred(&self) -> [Vec<[f64; 3]>; LOBES.len()] {
-        LOBES.map(|width| {
-            let window = |k: usize| {
-                let l = sh::band(k) as f64;
-                libm::exp(-width * l)
-            };
-            self.light.iter().enumerate().map(|(k, c)| c.map(|x| x * window(k))).collect()
-        })
+    /// The light blurred by each lobe, channels of a lobe in a row: `[k][lobe and channel]`.
+    pub(super) fn blurred(&self) -> Vec<[f64; BLURRED]> {
+        let window = |k: usize, lobe: usize| libm::exp(-LOBES[lobe] * sh::band(k) as f64);
+        let coefficient = |(k, c): (usize, &[f64; 3])| std::array::from_fn(|i| c[i % 3] * window(k, i / 3));
+        self.light.iter().enumerate().map(coefficient).collect()
     }
 }

@@ -8,9 +8,13 @@ use crate::stages::run::Run;
 use crate::texture::detail::Detail;
 use crate::validation;
 use glam::Vec3;
+use rayon::prelude::*;
 use recordings::decision::{Cut, Decision};
 use recordings::result::{Texture, WitnessError};
 use recordings::scan::Scan;
+
+/// Frames that are predicted at once: a bound of their memory.
+const AT_ONCE: usize = 8;
 
 /// Predicts the validation frames as far as the budget allows. `lit_with_gloss` are the lit colours before gloss was removed,
 /// linear RGB: `[vertex]`.
@@ -39,13 +43,16 @@ pub fn witnesses(
         veil_share: prepared.fields.veil_share,
     };
     let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
-    let mut compared = Vec::new();
-    for (i, frame) in scan.witnesses.iter().enumerate() {
-        if !run.plan.witness() {
-            run.plan.cut(Cut::Witnesses { predicted: i as u32, of: scan.witnesses.len() as u32 });
+    let (mut compared, mut predicted) = (Vec::new(), 0);
+    for frames in scan.witnesses.chunks(AT_ONCE) {
+        let fitting = frames.iter().take_while(|_| run.plan.witness()).count();
+        let of_frame = |frame| validation::compare(&model, &context, frame, run.config);
+        compared.extend(frames[..fitting].par_iter().filter_map(of_frame).collect::<Vec<_>>());
+        predicted += fitting;
+        if fitting < frames.len() {
+            run.plan.cut(Cut::Witnesses { predicted: predicted as u32, of: scan.witnesses.len() as u32 });
             break;
         }
-        compared.extend(validation::compare(&model, &context, frame, run.config));
     }
     let found = validation::texture_prediction(&compared);
     for decision in &mut prepared.decisions {

@@ -78,7 +78,7 @@ pub fn texture(
 fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32> {
     let mesh = context.mesh;
     let stride = mesh.positions.len().div_ceil(FOOTPRINT_VERTICES).max(1);
-    let smallest = (0..mesh.positions.len()).step_by(stride).filter_map(|i| {
+    let smallest = (0..mesh.positions.len()).into_par_iter().step_by(stride).filter_map(|i| {
         let samples = views.iter().filter_map(|v| v.sample(context, mesh.positions[i], mesh.normals[i], 0.0));
         samples.map(|s| s.footprint).reduce(f32::min)
     });
