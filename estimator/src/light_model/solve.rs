@@ -30,6 +30,9 @@ const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
 const LARGE: f64 = 0.02;
 /// Albedo of that segment at most.
 const MAX_ALBEDO: f64 = 0.95;
+/// Light of one lamp or emitter where it is strongest, against the mean light: deviation of its prior. One that hardly any sample
+/// tells would be taken for any radiance.
+const BRIGHTEST: f64 = 100.0;
 /// Relative errors count up to this.
 const CAPPED: f64 = 1.0;
 
@@ -178,6 +181,8 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut deviation = vec![f64::INFINITY; dim];
     let mut scale_deviation = f64::INFINITY;
     let mut row = vec![0.0; dim];
+    let largest = |j: usize| fitted.iter().map(|n| f64::from(shared[n * columns + j])).fold(0.0, f64::max);
+    let strongest: Vec<f64> = (coefficients..columns).map(largest).collect();
     for round in 0..ROUNDS {
         let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
         let size = |n: usize| (0.5 * (explained(n) + irradiance[n])).max(DARK_FLOOR);
@@ -212,6 +217,10 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
         let per = statistics.brightest(&inverse) / PRIOR_ALBEDO.1;
         problem.gram[(columns, columns)] += noise * per * per;
         problem.cross[columns] += noise * per * PRIOR_ALBEDO.0 / PRIOR_ALBEDO.1;
+        for (j, most) in strongest.iter().enumerate() {
+            let per = most / BRIGHTEST;
+            problem.gram[(coefficients + j, coefficients + j)] += noise * per * per;
+        }
         solution = problem.solve(regularisation * total, &mut radiance, &solution);
         let scale = mean.dot(&solution);
         if scale > 0.0 {
@@ -392,5 +401,43 @@ impl Rows<'_> {
             shared.push(*value);
         }
         (shared, self.columns + 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::factorisation::directions;
+
+    /// A uniform sky over surface of albedo ½, and one emitter that only the last sample sees, which is `bright` times as bright as
+    /// the others and weighs `weight`.
+    fn light_at_the_last(bright: f64, weight: f64) -> f64 {
+        let count = 200;
+        let mut samples = Samples {
+            vertex: (0..count).collect(),
+            segment: vec![0; count as usize],
+            weight: vec![1.0; count as usize],
+            held_out: vec![None; count as usize],
+            color: (0..count).map(|n| [0.5 + 0.01 * f64::from(n % 3); 3]).collect(),
+            segments: 1,
+            medians: vec![[0.5; 3]],
+        };
+        let last = samples.len() - 1;
+        (samples.weight[last], samples.color[last]) = (weight, [0.5 * bright; 3]);
+        let sky = 0.5 / libm::sqrt(std::f64::consts::PI);
+        let shared: Vec<f32> = (0..=last).flat_map(|n| [sky as f32, if n == last { 1.0 } else { 0.0 }]).collect();
+        let secondary = vec![[0.05; 3]; samples.len()];
+        let rows = Rows { samples: &samples, coefficients: 1, columns: 2, shared: &shared, secondary: &secondary };
+        let solved = solve(&rows, 1e-3);
+        assert_eq!(solved.radiance.len(), directions().len());
+        solved.irradiance[last][0] / solved.irradiance[0][0]
+    }
+
+    #[test]
+    fn what_one_poor_sample_tells_is_not_taken_for_a_strong_light() {
+        let told = light_at_the_last(20.0, 1.0);
+        assert!((18.0..22.0).contains(&told), "{told}");
+        let poor = light_at_the_last(1e5, 1e-6);
+        assert!(poor < 1e3, "{poor}");
     }
 }
