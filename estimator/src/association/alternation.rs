@@ -50,32 +50,39 @@ pub fn associate_within(
         .collect();
     let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
     let rounds = if refine { effort.rounds } else { 1 };
+    let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
+        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table))
+    };
+    let veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
     let problem = ExposureProblem {
         mesh: context.mesh,
         median_edge: context.median_edge,
         keyframes: keyframes.len(),
         dark_below: config.dark_below as f32,
+        veils: &veils,
         tuning: &config.tuning.exposure,
     };
     let mut refiner = PoseRefiner::new(keyframes.iter().map(|k| k.world_from_camera).collect());
-    for round in 0..rounds {
-        progress.stage("association", f64::from(round) / f64::from(rounds));
+    let mut round = 0;
+    while round < refiner.rounds(rounds) {
+        progress.stage("association", f64::from(round.min(rounds)) / f64::from(rounds));
         if !refine || !(effort.go_on)(round) {
             break;
         }
-        let relaxed = f64::from(round) / f64::from(rounds);
+        let relaxed = f64::from(round.min(rounds)) / f64::from(rounds);
         let rules = EligibilityRules::new(config, relaxed);
         let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
-        let (gains, _) = exposure::solve(&field, &problem, config.exposure); // Eq. (5)
+        let (gains, _) = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
         let lit = lit_colors(&field, &views); // Eq. (2)
         if !refiner.step(context, &images, &field, &lit, &mut views, round) {
             break;
         }
+        round += 1;
     }
     let rules = EligibilityRules::new(config, 1.0);
     let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
-    let (gains, decision) = exposure::solve(&field, &problem, config.exposure);
+    let (gains, decision) = exposure::solve(&field, &problem, &views, config.exposure);
     views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
     let lit = lit_colors(&field, &views);
     progress.stage("association", 1.0);
@@ -84,11 +91,8 @@ pub fn associate_within(
         let gain = views[o.keyframe as usize].gain;
         o.color = std::array::from_fn(|c| o.color[c] / gain[c] as f32);
     });
-    let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
-        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table))
-    };
     Association {
-        veils: images.par_iter().zip(keyframes).map(veil).collect(),
+        veils,
         veil_share: 0.0,
         lit_color: lit.color,
         lit_weight: lit.weight,

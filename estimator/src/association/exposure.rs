@@ -6,6 +6,7 @@
 
 use crate::association::exposure_patches::{ExposureProblem, Patch, mean_square, patches};
 use crate::association::light_field::LightField;
+use crate::association::observations::RefinedView;
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
@@ -27,6 +28,7 @@ type LogGains = Vec<[f64; 3]>;
 pub fn solve(
     field: &LightField,
     problem: &ExposureProblem,
+    views: &[RefinedView],
     choice: ExposureChoice,
 ) -> (Vec<[f64; 3]>, Option<Decision>) {
     let keyframes = problem.keyframes;
@@ -34,7 +36,7 @@ pub fn solve(
     if choice == ExposureChoice::None || keyframes < 2 {
         return (neutral, None);
     }
-    let patches = patches(field, problem);
+    let patches = patches(field, problem, views);
     if patches.is_empty() {
         return (neutral, None);
     }
@@ -223,7 +225,7 @@ fn solve_centred(mut matrix: DMatrix<f64>, right: &[DVector<f64>; 3], rgb: bool)
 mod tests {
     use super::*;
     use crate::association::observations::Observation;
-    use recordings::types::Mesh;
+    use recordings::types::{Mesh, Pose};
 
     /// A field of 80 × 80 vertices, seen by all keyframes. The left 70 % is glossy: it brightens smoothly from keyframe to
     /// keyframe, nearly the same over its whole area. The rest is matte and noisy.
@@ -258,7 +260,10 @@ mod tests {
         dark_below: f32,
     ) -> Vec<[f64; 3]> {
         let tuning = &ExposureTuning::default();
-        solve(field, &ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, tuning }, choice).0
+        let view = RefinedView { world_from_camera: Pose::IDENTITY, gain: [1.0; 3], residual_px: 0.0 };
+        let (views, veils) = (vec![view; keyframes], vec![None; keyframes]);
+        let problem = ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, veils: &veils, tuning };
+        solve(field, &problem, &views, choice).0
     }
 
     fn worst_error(found: &[[f64; 3]], gains: &[f64]) -> f64 {

@@ -1,13 +1,14 @@
 //! Patches of the surface, and how the keyframes differ over them.
 
 use crate::association::light_field::LightField;
-use crate::association::observations::Observation;
+use crate::association::observations::{Observation, RefinedView};
+use crate::association::veil::Veil;
 use crate::mesh::cells::{CellVertex, by_cell, groups};
 use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use rayon::prelude::*;
-use recordings::types::Mesh;
+use recordings::types::{Mesh, Pose};
 
 /// Observations of less weight are not used.
 const MIN_WEIGHT: f32 = 1e-3;
@@ -24,6 +25,8 @@ pub struct ExposureProblem<'a> {
     pub keyframes: usize,
     /// Linear samples below this are not used.
     pub dark_below: f32,
+    /// Veil of every keyframe: `[keyframe]`.
+    pub veils: &'a [Option<Veil>],
     /// Thresholds.
     pub tuning: &'a ExposureTuning,
 }
@@ -42,12 +45,13 @@ pub struct Patch {
     pub facing: usize,
 }
 
-/// Surface patches: cubes of space, one per main direction of the normal.
-pub fn patches(field: &LightField, problem: &ExposureProblem) -> Vec<Patch> {
+/// Surface patches: cubes of space, one per main direction of the normal. `views` has the keyframes' poses.
+pub fn patches(field: &LightField, problem: &ExposureProblem, views: &[RefinedView]) -> Vec<Patch> {
+    let cameras: Vec<Pose> = views.iter().map(|v| v.world_from_camera.inverse()).collect();
     let size = problem.median_edge * problem.tuning.patch_edges as f32;
     let vertices = by_cell(problem.mesh, size, |i| field.row(i).len() >= 2);
     let groups: Vec<&[CellVertex]> = groups(&vertices).collect();
-    groups.par_iter().filter_map(|g| Patch::new(field, g, problem)).collect()
+    groups.par_iter().filter_map(|g| Patch::new(field, g, problem, &cameras)).collect()
 }
 
 /// A usable observation; vertex and keyframe are numbered within the patch.
@@ -59,7 +63,7 @@ struct Entry {
 }
 
 impl Patch {
-    fn new(field: &LightField, members: &[CellVertex], problem: &ExposureProblem) -> Option<Self> {
+    fn new(field: &LightField, members: &[CellVertex], problem: &ExposureProblem, cameras: &[Pose]) -> Option<Self> {
         let usable = |o: &&Observation| o.weight > MIN_WEIGHT && o.color.iter().all(|&c| c > problem.dark_below);
         let mut keyframes: Vec<u16> = Vec::new();
         for m in members {
@@ -82,7 +86,17 @@ impl Patch {
         }
         let color = color / entries.len() as f32;
         let (logs, weights) = two_way(&entries, members.len(), keyframes.len());
-        let weights = weights.into_iter().map(|w| w / (w + problem.tuning.half_weight)).collect();
+        let center: Vec3 =
+            members.iter().map(|m| problem.mesh.positions[m.vertex]).sum::<Vec3>() / members.len() as f32;
+        let lights = brightness(&entries, keyframes.len());
+        let weight = |((w, k), light): ((f64, &u16), f64)| {
+            let k = usize::from(*k);
+            // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
+            let veil = problem.veils[k].as_ref().map_or(0.0, |v| v.over(cameras[k].transform(center.as_dvec3())));
+            let own = light / (light + problem.tuning.veil_share * veil);
+            w / (w + problem.tuning.half_weight) * own * own
+        };
+        let weights = weights.into_iter().zip(&keyframes).zip(lights).map(weight).collect();
         Some(Self { keyframes, logs, weights, color, facing: members[0].facing })
     }
 
@@ -112,6 +126,17 @@ impl Patch {
 /// Mean square over the channels.
 pub fn mean_square(d: &[f64; 3]) -> f64 {
     (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
+}
+
+/// Mean value over the entries of every keyframe, linear, mean of the channels.
+fn brightness(entries: &[Entry], keyframes: usize) -> Vec<f64> {
+    let mut sums = vec![(0.0, 1e-12); keyframes];
+    for e in entries {
+        let sum = &mut sums[e.keyframe];
+        sum.0 += e.weight * e.log.map(libm::exp).iter().sum::<f64>() / 3.0;
+        sum.1 += e.weight;
+    }
+    sums.into_iter().map(|(sum, weight)| sum / weight).collect()
 }
 
 /// Decomposes the logs into vertex + keyframe terms by alternating weighted means with Huber weights. Returns the keyframe

@@ -15,6 +15,8 @@ use recordings::types::Pose;
 
 /// Rounds that are made even if poses hardly move: they add pyramid levels.
 const MIN_ROUNDS: u32 = 2;
+/// Rounds from given poses until every pyramid level has been used and the finest has converged.
+const TURNING_ROUNDS: u32 = 3;
 /// A lit colour without the keyframe's own observations needs this share of the vertex's weight.
 const MIN_REST: f32 = 0.05;
 
@@ -118,6 +120,11 @@ impl PoseRefiner {
             return true;
         }
         rms > context.config.tuning.pose.converged_px || round < MIN_ROUNDS
+    }
+
+    /// Rounds to make, of these at most: one that began again is not left at the given poses.
+    pub fn rounds(&self, most: u32) -> u32 {
+        self.turns_from.map_or(most, |first| most.max(first + TURNING_ROUNDS))
     }
 
     /// Back to the given poses, which from this round on only turn.

@@ -40,9 +40,10 @@ impl Association {
             median_edge,
             keyframes: self.views.len(),
             dark_below: self.dark_below,
+            veils: &self.veils,
             tuning: &self.exposure,
         };
-        let (new, _) = exposure::solve(&field, &problem, choice);
+        let (new, _) = exposure::solve(&field, &problem, &self.views, choice);
         let mut moved = 0.0;
         for (view, new) in self.views.iter_mut().zip(&new) {
             moved += view.gain.iter().zip(new).map(|(a, b)| libm::log(b / a).powi(2)).sum::<f64>() / 3.0;

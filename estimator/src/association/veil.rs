@@ -77,6 +77,14 @@ impl Veil {
         let row = |y: usize| self.cells[y * COLUMNS + x].lerp(self.cells[y * COLUMNS + x + 1], fx);
         row(y).lerp(row(y + 1), fy)
     }
+
+    /// Mean of the channels of V at a point of the camera's frame; 0 behind the camera.
+    #[must_use]
+    pub fn over(&self, p: DVec3) -> f64 {
+        let k = &self.camera;
+        let veil = || self.at(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        if p.z > 0.0 { f64::from(veil().element_sum()) / 3.0 } else { 0.0 }
+    }
 }
 
 /// A colour without this veil.

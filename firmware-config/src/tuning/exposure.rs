@@ -13,6 +13,8 @@ section! {
         diffuse_log: f64 = 0.02, [1e-6..=10.0], "ln", "";
         /// Share of the patches whose deviation sets the tolerance where it is larger than that of diffuse patches. Source: measured on the rendered scenes.
         better_share: f64 = 0.25, [0.0..=1.0], "", "";
+        /// Share of a picture's veiling glare that its values may hold: what is dark beside it tells little of the exposure. Source: measured on generated scenes.
+        veil_share: f64 = 0.05, [0.0..=1.0], "", "";
         /// Largest number of rounds of reweighting. Source: measured on the rendered scenes.
         rounds: u32 = 15, [1..=1000], "rounds", "";
         /// One gain per channel is used if it lowers the disagreement of held-out patches to this share. Source: measured on the rendered scenes.
