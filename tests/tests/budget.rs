@@ -48,7 +48,7 @@ impl Machine for Simulated {
 }
 
 fn run(scan: &Scan, machine: &Simulated, budget: f64) -> Estimate {
-    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None, reference: None };
+    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None, reference: None, memory_mb: None };
     let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     assert!(e.albedo.iter().all(|a| a.is_finite()), "a valid result");
     assert!(e.confidence.iter().any(|c| *c > 0.1), "some albedos are known");
@@ -133,7 +133,12 @@ fn a_machine_that_is_halted_again_and_again_is_slow() {
 fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let size = Run::size(&scan, &config);
-    let options = |milliseconds| Options { budget: Duration::from_millis(milliseconds), rounds: None, reference: None };
+    let options = |milliseconds| Options {
+        budget: Duration::from_millis(milliseconds),
+        rounds: None,
+        reference: None,
+        memory_mb: None,
+    };
     let has_gloss =
         |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).workload().specular;
     // The most time that gloss is not planned for; then no round of pose refinement is asked for, which was planned.
@@ -157,7 +162,7 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
 fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
-    let options = Options { budget: Duration::from_secs(40), rounds: None, reference: None };
+    let options = Options { budget: Duration::from_secs(40), rounds: None, reference: None, memory_mb: None };
     let mut plan = Plan::new(&machine, &options, &config, Run::size(&scan, &config));
     let stall = |seconds: f64| *machine.now.lock().expect("nobody panicked") += seconds;
     let watch = plan.watch_rays(64);
@@ -178,7 +183,7 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
 #[test]
 fn rounds_replace_the_clock() {
     let scan = scan(globe(24, 0.5, 1.0), 3, 2.0, shaded);
-    let options = Options { budget: Duration::from_millis(1), rounds: Some(1), reference: None };
+    let options = Options { budget: Duration::from_millis(1), rounds: Some(1), reference: None, memory_mb: None };
     let run = |speed| {
         let machine = Simulated::new(speed, &[(0.0, 10.0)]);
         let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &()).expect("a result");

@@ -2,12 +2,14 @@
 
 use crate::api::Options;
 use crate::budget::cost_model::{self, Size};
+use crate::budget::first_answer::FirstAnswer;
 use crate::budget::machine::Machine;
+use crate::budget::memory;
 use crate::budget::probe::{self, Probe};
 use crate::budget::workload::Workload;
 use firmware_config::EstimatorConfig;
 use firmware_config::tuning::BudgetTuning;
-use recordings::decision::Cut;
+use recordings::decision::{Cut, Reduction};
 use std::sync::Mutex;
 
 /// The clock and the budget of one run.
@@ -34,10 +36,16 @@ impl<'a> Plan<'a> {
     /// Measures the machine and plans all stages. With rounds given, no clock is read.
     #[must_use]
     pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
-        let full = Workload::full(config, options.rounds);
+        let mut full = Workload::full(config, options.rounds);
         let tuning = config.tuning.budget.clone();
         let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
-        let (probe, planned, fixed) = (Probe { speed: 1.0, end: 0.0 }, Vec::new(), Vec::new());
+        let (probe, planned, mut fixed) = (Probe { speed: 1.0, end: 0.0 }, Vec::new(), Vec::new());
+        if let Some(limit_mb) = options.memory_mb.filter(|_| budget.is_finite()) {
+            let asked = full;
+            full = memory::fitting(asked, &size, limit_mb, &tuning);
+            let reductions = full.reductions_from(&asked, &size);
+            fixed.extend(reductions.into_iter().map(|what| Cut::Memory { what, limit_mb }));
+        }
         let mut plan = Self { machine, budget, size, tuning, probe, work: 0.0, full, workload: full, planned, fixed };
         if budget.is_finite() {
             plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
@@ -64,6 +72,40 @@ impl<'a> Plan<'a> {
     #[must_use]
     pub fn needed_seconds(&self) -> f64 {
         self.full.all(&self.size) / self.speed()
+    }
+
+    /// Effort of the first answer; `None` without a clock.
+    #[must_use]
+    pub fn first_answer(&self) -> Option<FirstAnswer> {
+        self.budget.is_finite().then(|| FirstAnswer::of(&self.size))
+    }
+
+    /// The first answer is made. What it took tells more of the machine than the probe, so that everything is planned again.
+    pub fn first_answer_done(&mut self) {
+        self.worked(FirstAnswer::of(&self.size).cost(&self.size));
+        let found = self.fitting(self.full, |w| w.all(&self.size));
+        self.adopt(found);
+    }
+
+    /// True if an answer that stands is worth its writing; reports that as work.
+    pub fn hand_over(&mut self) -> bool {
+        let output = cost_model::output(&self.workload.size(&self.size));
+        let is_cheap = self.budget.is_finite() && output <= self.tuning.hand_over_share * self.left();
+        if is_cheap {
+            self.worked(output);
+        }
+        is_cheap
+    }
+
+    /// True if rays were cut, and more of the budget is left than the texture and a margin take.
+    #[must_use]
+    pub fn has_spare(&self) -> bool {
+        let is_of_rays = |cut: &Cut| match cut {
+            Cut::Planned { what, .. } => matches!(what, Reduction::Rays { .. }),
+            cut => matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }),
+        };
+        let rest = self.workload.end(&self.workload.size(&self.size));
+        self.cuts().iter().any(is_of_rays) && self.left() - rest > self.tuning.spare_share * self.budget * self.speed()
     }
 
     /// Records a cut that is final.
@@ -130,7 +172,8 @@ impl<'a> Plan<'a> {
         // Cuts of vertices and keyframes are final from now on.
         let is_fixed = |cut: &Cut| matches!(cut, Cut::Planned { what, .. } if what.is_of_scan());
         let (fixed, planned) = std::mem::take(&mut self.planned).into_iter().partition(is_fixed);
-        (self.fixed, self.planned) = (fixed, planned);
+        self.fixed.extend::<Vec<Cut>>(fixed);
+        self.planned = planned;
     }
 
     /// Maximum number of rounds of pose refinement; [`Self::pose_round`] may end them earlier.
@@ -248,6 +291,8 @@ impl<'a> Plan<'a> {
                 _ => bounces = 2,
             }
         }
+        // This decision takes the place of an earlier one.
+        self.fixed.retain(|cut| !matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }));
         if rays < wanted {
             self.fixed.push(Cut::FewerRays { rays, instead_of: wanted });
         }
@@ -319,14 +364,19 @@ impl<'a> Plan<'a> {
         self.worked(self.workload.materials(&size, blocked, bands));
     }
 
-    /// True if gloss is asked for and fits.
+    /// True if gloss is asked for and fits, planned or not.
     pub fn specular(&mut self, bands: usize) -> bool {
         let size = self.workload.size(&self.size);
         let fits = cost_model::specular(&size, bands) + cost_model::output(&size) <= self.left();
-        if self.workload.specular && !fits {
-            self.fixed.push(Cut::Specular);
+        if self.full.specular && fits {
+            self.adopt(Workload { specular: true, ..self.workload });
+            return true;
         }
-        self.workload.specular && fits
+        if self.workload.specular {
+            self.fixed.push(Cut::Specular);
+            (self.full.specular, self.workload.specular) = (false, false);
+        }
+        false
     }
 
     /// Gloss was looked for.
@@ -336,14 +386,19 @@ impl<'a> Plan<'a> {
         (self.full.specular, self.workload.specular) = (false, false);
     }
 
-    /// True if a texture is asked for and fits.
+    /// True if a texture is asked for and fits, planned or not.
     pub fn texture(&mut self) -> bool {
         let size = self.workload.size(&self.size);
         let fits = cost_model::texture(&size) + cost_model::output(&size) <= self.left();
-        if self.workload.texture && !fits {
-            self.fixed.push(Cut::Texture);
+        if self.full.texture && fits {
+            self.adopt(Workload { texture: true, ..self.workload });
+            return true;
         }
-        self.workload.texture && fits
+        if self.workload.texture {
+            self.fixed.push(Cut::Texture);
+            (self.full.texture, self.workload.texture) = (false, false);
+        }
+        false
     }
 
     /// The texture is made.

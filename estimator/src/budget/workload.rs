@@ -10,8 +10,8 @@ use recordings::decision::Reduction;
 const ROUND: u32 = 64;
 /// Share of rays that hit, before it is known.
 const LIKELY_BLOCKED: f64 = 0.4;
-/// Solutions for the light, besides those of gloss.
-const SOLUTIONS: f64 = 2.5;
+/// Answers that are written: two before the last.
+const WRITTEN: f64 = 3.0;
 
 /// How much of everything a run does.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,6 +35,9 @@ pub struct Workload {
 }
 
 impl Workload {
+    /// Solutions for the light, besides those of gloss.
+    pub(super) const SOLUTIONS: f64 = 2.5;
+
     /// Everything that the settings ask for.
     #[must_use]
     pub fn full(config: &EstimatorConfig, rounds: Option<u32>) -> Self {
@@ -79,7 +82,7 @@ impl Workload {
     pub(super) fn light(&self, size: &Size, blocked: f64) -> f64 {
         cost_model::rays(size.vertices, self.rays)
             + cost_model::BOUNCED * cost_model::bounces(size.vertices, self.rays, blocked, self.bounces)
-            + SOLUTIONS * cost_model::solution(self.bands)
+            + Self::SOLUTIONS * cost_model::solution(self.bands)
     }
 
     /// Reference seconds of the factorisations that tell glare and materials.
@@ -92,7 +95,7 @@ impl Workload {
     pub(super) fn end(&self, size: &Size) -> f64 {
         let specular = if self.specular { cost_model::specular(size, self.bands) } else { 0.0 };
         let texture = if self.texture { cost_model::texture(size) } else { 0.0 };
-        specular + texture + cost_model::output(size)
+        specular + texture + WRITTEN * cost_model::output(size)
     }
 
     /// Reference seconds of the whole run.
