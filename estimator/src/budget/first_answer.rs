@@ -4,7 +4,7 @@ use crate::budget::cost_model::{self, Size};
 use crate::budget::workload::Workload;
 
 /// About as many vertices as tell the light and the albedo of large segments.
-const VERTICES: f64 = 2200.0;
+const VERTICES: usize = 2200;
 /// At most this many keyframes.
 const KEYFRAMES: f64 = 8.0;
 /// Rays per vertex.
@@ -15,8 +15,8 @@ const BANDS: u32 = 3;
 /// Effort of the first answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FirstAnswer {
-    /// Share of the vertices that it works on.
-    pub share_of_vertices: f64,
+    /// Vertices that it works on, roughly.
+    pub vertices: usize,
     /// Every n-th keyframe is used.
     pub keyframe_stride: usize,
     /// Rays per vertex.
@@ -29,14 +29,13 @@ impl FirstAnswer {
     /// For a scan of this size.
     pub(super) fn of(size: &Size) -> Self {
         let keyframe_stride = (size.keyframes / KEYFRAMES).ceil().max(1.0) as usize;
-        let share_of_vertices = (VERTICES / size.vertices.max(1.0)).min(1.0);
-        Self { share_of_vertices, keyframe_stride, rays: RAYS, bands: BANDS }
+        Self { vertices: VERTICES, keyframe_stride, rays: RAYS, bands: BANDS }
     }
 
     /// Reference seconds.
     pub(super) fn cost(self, full: &Size) -> f64 {
         let size = Size {
-            vertices: full.vertices * self.share_of_vertices,
+            vertices: full.vertices.min(self.vertices as f64),
             keyframes: (full.keyframes / self.keyframe_stride as f64).ceil(),
             ..*full
         };

@@ -5,18 +5,25 @@ use crate::budget::workload::Workload;
 use firmware_config::tuning::BudgetTuning;
 
 /// The program, its threads and its buffers.
-const BASE: f64 = 40.0e6;
-/// The scan's mesh, and what coarsening makes of it, per vertex of the scan.
-const PER_VERTEX_SCANNED: f64 = 150.0;
+const BASE: f64 = 50.0e6;
+/// The scan's mesh, per vertex of the scan.
+const PER_VERTEX_SCANNED: f64 = 60.0;
 /// Mesh, rays, bounces and answer, per vertex.
-const PER_VERTEX: f64 = 1100.0;
-/// A coefficient of the transfer.
-const PER_COEFFICIENT: f64 = 4.0;
+const PER_VERTEX: f64 = 1500.0;
+/// A coefficient of the transfer, while rays are added to those before.
+const PER_COEFFICIENT: f64 = 12.0;
+/// A hit of a ray, likewise; so many of them are kept at most.
+const PER_HIT: f64 = 8.0;
+const MOST_HITS: f64 = 33.5e6;
+/// Share of the rays that hit.
+const LIKELY_BLOCKED: f64 = 0.45;
 /// An observation; a third of the keyframes see any one vertex.
 const PER_OBSERVATION: f64 = 64.0;
 /// A pixel of a keyframe.
-const PER_PIXEL: f64 = 16.0;
-/// Share of one step down that stays.
+const PER_PIXEL: f64 = 9.0;
+/// Share of the limit that is planned with: memory that was given back is not always free again.
+const USABLE_SHARE: f64 = 0.9;
+/// Share of the vertices that one step down keeps.
 const STEP: f64 = 0.9;
 
 /// Bytes of a run at these levels.
@@ -24,13 +31,17 @@ fn bytes(workload: &Workload, full: &Size) -> f64 {
     let size = workload.size(full);
     let coefficients = (workload.bands * workload.bands) as f64;
     let per_vertex = PER_VERTEX + PER_COEFFICIENT * coefficients + PER_OBSERVATION * size.keyframes / 3.0;
-    BASE + PER_VERTEX_SCANNED * size.scanned + per_vertex * size.vertices + PER_PIXEL * size.pixels * size.keyframes
+    let hits = (LIKELY_BLOCKED * f64::from(workload.rays) * size.vertices).min(MOST_HITS);
+    BASE + PER_VERTEX_SCANNED * size.scanned
+        + per_vertex * size.vertices
+        + PER_HIT * hits
+        + PER_PIXEL * size.pixels * size.keyframes
 }
 
 /// `workload` with as few vertices as `limit_mb` megabytes require; every second keyframe goes before light and gloss
 /// lose the vertices that they are told by. The least there is if nothing fits.
 pub(super) fn fitting(workload: Workload, size: &Size, limit_mb: u32, tuning: &BudgetTuning) -> Workload {
-    let limit = f64::from(limit_mb) * 1e6;
+    let limit = USABLE_SHARE * f64::from(limit_mb) * 1e6;
     let mut fitting = workload;
     let steps = [(f64::from(tuning.sufficient_vertices), 1), (f64::from(tuning.min_vertices), 2)];
     for (least, keyframe_stride) in steps {

@@ -12,6 +12,11 @@ use firmware_config::tuning::BudgetTuning;
 use recordings::decision::{Cut, Reduction};
 use std::sync::Mutex;
 
+/// An answer that stands is written before the run ends if that takes less than this share of the time left.
+const HAND_OVER_SHARE: f64 = 0.1;
+/// Rays that were cut are traced in the end if more than this share of the budget is left.
+const SPARE_SHARE: f64 = 0.1;
+
 /// The clock and the budget of one run.
 pub struct Plan<'a> {
     machine: &'a dyn Machine,
@@ -90,7 +95,7 @@ impl<'a> Plan<'a> {
     /// True if an answer that stands is worth its writing; reports that as work.
     pub fn hand_over(&mut self) -> bool {
         let output = cost_model::output(&self.workload.size(&self.size));
-        let is_cheap = self.budget.is_finite() && output <= self.tuning.hand_over_share * self.left();
+        let is_cheap = self.budget.is_finite() && output <= HAND_OVER_SHARE * self.left();
         if is_cheap {
             self.worked(output);
         }
@@ -105,7 +110,7 @@ impl<'a> Plan<'a> {
             cut => matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }),
         };
         let rest = self.workload.end(&self.workload.size(&self.size));
-        self.cuts().iter().any(is_of_rays) && self.left() - rest > self.tuning.spare_share * self.budget * self.speed()
+        self.cuts().iter().any(is_of_rays) && self.left() - rest > SPARE_SHARE * self.budget * self.speed()
     }
 
     /// Records a cut that is final.

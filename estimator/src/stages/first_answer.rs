@@ -3,10 +3,11 @@
 use crate::api::Options;
 use crate::budget::{FirstAnswer, WallClock};
 use crate::factorisation::factorise;
+use crate::mesh::clustering::sketched;
 use crate::specular::Gloss;
 use crate::stages::gloss::Answer;
 use crate::stages::model::{select_model, trace};
-use crate::stages::prepare::prepare;
+use crate::stages::prepare::prepare_on;
 use crate::stages::result::result;
 use crate::stages::run::Run;
 use crate::stages::scale::fix_scale;
@@ -31,8 +32,8 @@ fn make(scan: &Scan, effort: FirstAnswer, run: &Run) {
     let options = Options { rounds: Some(1), ..run.options.clone() };
     let clock = WallClock::start();
     let mut own = Run::new(&clock, scan, &config, &options, &());
-    own.plan.restrict(effort.share_of_vertices, effort.keyframe_stride);
-    let Ok(mut prepared) = prepare(scan, &mut own) else { return };
+    own.plan.restrict(1.0, effort.keyframe_stride);
+    let Ok(mut prepared) = prepare_on(sketched(&scan.mesh, effort.vertices), scan, &mut own) else { return };
     let traced = trace(&prepared, &mut own);
     let model = select_model(&mut prepared, traced, &mut own);
     let found = factorise(Arc::clone(&model.traced), &prepared.colors(), &model.options, model.start);

@@ -59,13 +59,22 @@ impl Prepared {
 /// # Errors
 /// The scan is unusable: no triangle, or no keyframe that shows any of it; the reference shows no surface.
 pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
-    let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
-    progress.stage("mesh", 0.0);
+    run.progress.stage("mesh", 0.0);
+    let (config, plan) = (run.config, &run.plan);
     let mesh = if plan.workload().vertices < Run::size(scan, config).vertices as usize {
         clustering::coarsened(&scan.mesh, plan.workload().vertices)
     } else {
         regularise::regularise(&scan.mesh, config, scan.source)
     };
+    prepare_on(mesh, scan, run)
+}
+
+/// Association (Eqs. 2–5) and segments (Eqs. 6–7) on a mesh that stands for the scan's.
+///
+/// # Errors
+/// As [`prepare`].
+pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
+    let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
     let scene = RayScene::new(&mesh);
     if mesh.positions.is_empty() || mesh.triangles.is_empty() {
         return Err(EstimateError::Unusable("the mesh has no triangle".into()));

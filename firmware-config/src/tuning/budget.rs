@@ -23,10 +23,6 @@ section! {
         usable_share: f64 = 0.7, [0.1..=1.0], "", "";
         /// Share of the budget that the speed probe may take where the budget may bind.
         probe_share: f64 = 0.04, [0.001..=0.5], "", "";
-        /// An answer that stands is written before the run ends if that takes less than this share of the time left.
-        hand_over_share: f64 = 0.1, [0.0..=1.0], "", "";
-        /// Rays that were cut are traced in the end if more than this share of the budget is left.
-        spare_share: f64 = 0.1, [0.0..=1.0], "", "";
         /// The probe ends early if the whole run takes less than this share of the budget.
         clearly_enough_share: f64 = 0.125, [0.0..=1.0], "", "";
     }
