@@ -78,8 +78,9 @@ pub fn estimate_on(
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
     let config = &budget::at_quality(config);
+    let first = stages::first_answer(machine, scan, config, options, progress);
     let mut run = Run::new(machine, scan, config, options, progress);
-    stages::first_answer(scan, &mut run);
+    run.plan.after(first);
 
     // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
     let mut prepared = stages::prepare(scan, &mut run)?;

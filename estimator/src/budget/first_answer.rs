@@ -1,7 +1,6 @@
 //! How much of everything the first answer takes.
 
-use crate::budget::cost_model::{self, Size};
-use crate::budget::workload::Workload;
+use crate::budget::cost_model::Size;
 
 /// About as many vertices as tell the light and the albedo of large segments.
 const VERTICES: usize = 2200;
@@ -11,6 +10,11 @@ const KEYFRAMES: f64 = 8.0;
 const RAYS: u32 = 16;
 /// SH bands.
 const BANDS: u32 = 3;
+
+/// Reference seconds per pixel of a keyframe: most of the work is with pictures.
+const PER_PIXEL: f64 = 1.0e-7;
+/// Reference seconds per vertex of the scan.
+const PER_VERTEX_SKETCHED: f64 = 3.0e-7;
 
 /// Effort of the first answer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,24 +31,23 @@ pub struct FirstAnswer {
 
 impl FirstAnswer {
     /// For a scan of this size.
-    pub(super) fn of(size: &Size) -> Self {
+    pub(crate) fn of(size: &Size) -> Self {
         let keyframe_stride = (size.keyframes / KEYFRAMES).ceil().max(1.0) as usize;
         Self { vertices: VERTICES, keyframe_stride, rays: RAYS, bands: BANDS }
     }
 
-    /// Reference seconds.
-    pub(super) fn cost(self, full: &Size) -> f64 {
-        let size = Size {
-            vertices: full.vertices.min(self.vertices as f64),
-            keyframes: (full.keyframes / self.keyframe_stride as f64).ceil(),
-            ..*full
-        };
-        cost_model::mesh(full, size.vertices < full.vertices)
-            + cost_model::pictures(&size)
-            + cost_model::association(&size)
-            + cost_model::segmentation(&size)
-            + cost_model::rays(size.vertices, self.rays)
-            + Workload::SOLUTIONS * cost_model::solution(self.bands as usize)
-            + cost_model::output(&size)
+    /// Reference seconds, the writing included.
+    pub(crate) fn cost(self, size: &Size) -> f64 {
+        let keyframes = (size.keyframes / self.keyframe_stride as f64).ceil();
+        PER_PIXEL * keyframes * size.pixels + PER_VERTEX_SKETCHED * size.scanned
     }
+}
+
+/// Work that is done, and the time that it took.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Done {
+    /// Reference seconds.
+    pub reference_seconds: f64,
+    /// Seconds of the clock.
+    pub seconds: f64,
 }

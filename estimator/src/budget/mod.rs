@@ -12,7 +12,7 @@ mod probe;
 mod quality;
 mod workload;
 
-pub use first_answer::FirstAnswer;
+pub use first_answer::{Done, FirstAnswer};
 pub use machine::{Machine, WallClock};
 pub use plan::Plan;
 pub use quality::at_quality;

@@ -2,7 +2,7 @@
 
 use crate::api::Options;
 use crate::budget::cost_model::{self, Size};
-use crate::budget::first_answer::FirstAnswer;
+use crate::budget::first_answer::Done;
 use crate::budget::machine::Machine;
 use crate::budget::memory;
 use crate::budget::probe::{self, Probe};
@@ -25,7 +25,9 @@ pub struct Plan<'a> {
     size: Size,
     tuning: BudgetTuning,
     probe: Probe,
-    /// Reference seconds of work done since the probe.
+    /// Seconds of work that was done before the probe.
+    before: f64,
+    /// Reference seconds of work done before and since the probe.
     work: f64,
     /// Everything that was asked for.
     full: Workload,
@@ -51,7 +53,8 @@ impl<'a> Plan<'a> {
             let reductions = full.reductions_from(&asked, &size);
             fixed.extend(reductions.into_iter().map(|what| Cut::Memory { what, limit_mb }));
         }
-        let mut plan = Self { machine, budget, size, tuning, probe, work: 0.0, full, workload: full, planned, fixed };
+        let mut plan =
+            Self { machine, budget, size, tuning, probe, before: 0.0, work: 0.0, full, workload: full, planned, fixed };
         if budget.is_finite() {
             plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
             tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.probe.speed);
@@ -79,17 +82,14 @@ impl<'a> Plan<'a> {
         self.full.all(&self.size) / self.speed()
     }
 
-    /// Effort of the first answer; `None` without a clock.
-    #[must_use]
-    pub fn first_answer(&self) -> Option<FirstAnswer> {
-        self.budget.is_finite().then(|| FirstAnswer::of(&self.size))
-    }
-
-    /// The first answer is made. What it took tells more of the machine than the probe, so that everything is planned again.
-    pub fn first_answer_done(&mut self) {
-        self.worked(FirstAnswer::of(&self.size).cost(&self.size));
-        let found = self.fitting(self.full, |w| w.all(&self.size));
-        self.adopt(found);
+    /// Plans again with what was done before: it tells more of the machine than the probe.
+    pub fn after(&mut self, first: Done) {
+        if self.budget.is_finite() {
+            self.work += first.reference_seconds;
+            self.before = first.seconds;
+            let found = self.fitting(self.full, |w| w.all(&self.size));
+            self.adopt(found);
+        }
     }
 
     /// True if an answer that stands is worth its writing; reports that as work.
@@ -128,7 +128,7 @@ impl<'a> Plan<'a> {
 
     /// Reference seconds per second, from the probe and the stages since.
     fn speed(&self) -> f64 {
-        let spent = self.machine.now() - self.probe.end;
+        let spent = self.before + self.machine.now() - self.probe.end;
         // The probe has the weight of one reference second of work.
         ((self.work + 1.0) / (spent + 1.0 / self.probe.speed)).max(1e-12)
     }
@@ -164,6 +164,7 @@ impl<'a> Plan<'a> {
         if self.budget.is_finite() {
             self.machine.worked(reference_seconds);
             self.work += reference_seconds;
+            tracing::debug!("{:.2} reference seconds after {:.2} s", self.work, self.machine.now());
         }
     }
 

@@ -10,6 +10,8 @@ use recordings::decision::Reduction;
 const ROUND: u32 = 64;
 /// Share of rays that hit, before it is known.
 const LIKELY_BLOCKED: f64 = 0.4;
+/// Solutions for the light, besides those of gloss.
+const SOLUTIONS: f64 = 2.5;
 /// Answers that are written: two before the last.
 const WRITTEN: f64 = 3.0;
 
@@ -35,9 +37,6 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// Solutions for the light, besides those of gloss.
-    pub(super) const SOLUTIONS: f64 = 2.5;
-
     /// Everything that the settings ask for.
     #[must_use]
     pub fn full(config: &EstimatorConfig, rounds: Option<u32>) -> Self {
@@ -82,7 +81,7 @@ impl Workload {
     pub(super) fn light(&self, size: &Size, blocked: f64) -> f64 {
         cost_model::rays(size.vertices, self.rays)
             + cost_model::BOUNCED * cost_model::bounces(size.vertices, self.rays, blocked, self.bounces)
-            + Self::SOLUTIONS * cost_model::solution(self.bands)
+            + SOLUTIONS * cost_model::solution(self.bands)
     }
 
     /// Reference seconds of the factorisations that tell glare and materials.

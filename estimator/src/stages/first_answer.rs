@@ -1,7 +1,7 @@
 //! The first answer: a coarse estimate that is complete, so that a result stands whatever the machine does afterwards.
 
-use crate::api::Options;
-use crate::budget::{FirstAnswer, WallClock};
+use crate::api::{Options, Progress};
+use crate::budget::{Done, FirstAnswer, Machine, WallClock};
 use crate::factorisation::factorise;
 use crate::mesh::clustering::sketched;
 use crate::specular::Gloss;
@@ -18,18 +18,30 @@ use recordings::scan::Scan;
 use std::sync::Arc;
 
 /// Hands a coarse estimate over, if the run has a clock; none where its few pictures show too little. It keeps its own coarse mesh:
-/// brought to the vertices of the scan, it would come later and tell no more.
-pub fn first_answer(scan: &Scan, run: &mut Run) {
-    let Some(effort) = run.plan.first_answer() else { return };
-    run.progress.stage("first answer", 0.0);
-    make(scan, effort, run);
-    run.plan.first_answer_done();
+/// brought to the vertices of the scan, it would come later and tell no more. Returns what it took of the machine.
+pub fn first_answer(
+    machine: &dyn Machine,
+    scan: &Scan,
+    config: &EstimatorConfig,
+    options: &Options,
+    progress: &dyn Progress,
+) -> Done {
+    if options.rounds.is_some() {
+        return Done::default();
+    }
+    progress.stage("first answer", 0.0);
+    let size = Run::size(scan, config);
+    let (began, effort) = (machine.now(), FirstAnswer::of(&size));
+    make(scan, effort, config, options, progress);
+    let reference_seconds = effort.cost(&size);
+    machine.worked(reference_seconds);
+    Done { reference_seconds, seconds: machine.now() - began }
 }
 
-fn make(scan: &Scan, effort: FirstAnswer, run: &Run) {
-    let config = coarse(run.config, effort);
+fn make(scan: &Scan, effort: FirstAnswer, config: &EstimatorConfig, options: &Options, progress: &dyn Progress) {
+    let config = coarse(config, effort);
     // Fixed rounds: this part of the run has no plan of its own.
-    let options = Options { rounds: Some(1), ..run.options.clone() };
+    let options = Options { rounds: Some(1), ..options.clone() };
     let clock = WallClock::start();
     let mut own = Run::new(&clock, scan, &config, &options, &());
     own.plan.restrict(1.0, effort.keyframe_stride);
@@ -44,7 +56,7 @@ fn make(scan: &Scan, effort: FirstAnswer, run: &Run) {
         keyframes: scan.keyframes.len().div_ceil(effort.keyframe_stride) as u32,
     });
     let (estimate, _) = result(scan, &mut prepared, answer, LocalLight::default(), &own);
-    run.progress.answer(&estimate);
+    progress.answer(&estimate);
 }
 
 /// The settings at their cheapest.
