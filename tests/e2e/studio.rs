@@ -55,8 +55,7 @@ fn the_line_says_whether_to_try_again() {
     let dir = tempfile::tempdir().unwrap();
     let scan = small_scan(dir.path(), &["--no-estimate"]).join("scan.lscan");
     // More than the least limits hold, the program itself not counted.
-    let large =
-        small_scan(dir.path(), &["--no-estimate", "--set", "fusion.voxel_size_m=0.015"]).join("scan.lscan");
+    let large = small_scan(dir.path(), &["--no-estimate", "--set", "fusion.voxel_size_m=0.015"]).join("scan.lscan");
     let bad = dir.path().join("bad.lscan");
     std::fs::write(&bad, &std::fs::read(&scan).unwrap()[..1000]).unwrap();
     for (scan, more, code, retry) in [

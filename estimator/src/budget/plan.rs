@@ -17,6 +17,9 @@ const HAND_OVER_SHARE: f64 = 0.1;
 /// Rays that were cut are traced in the end if more than this share of the budget is left.
 const SPARE_SHARE: f64 = 0.1;
 
+/// Share of the time left that is planned with once an answer stands: what comes too late then is not missed.
+const STANDING_SHARE: f64 = 0.9;
+
 /// The clock and the budget of one run.
 pub struct Plan<'a> {
     machine: &'a dyn Machine,
@@ -27,6 +30,8 @@ pub struct Plan<'a> {
     probe: Probe,
     /// Seconds of work that was done before the probe.
     before: f64,
+    /// An answer on the planned mesh stands.
+    stands: bool,
     /// Reference seconds of work done before and since the probe.
     work: f64,
     /// Everything that was asked for.
@@ -53,8 +58,20 @@ impl<'a> Plan<'a> {
             let reductions = full.reductions_from(&asked, &size);
             fixed.extend(reductions.into_iter().map(|what| Cut::Memory { what, limit_mb }));
         }
-        let mut plan =
-            Self { machine, budget, size, tuning, probe, before: 0.0, work: 0.0, full, workload: full, planned, fixed };
+        let mut plan = Self {
+            machine,
+            budget,
+            size,
+            tuning,
+            probe,
+            before: 0.0,
+            stands: false,
+            work: 0.0,
+            full,
+            workload: full,
+            planned,
+            fixed,
+        };
         if budget.is_finite() {
             plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
             tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.probe.speed);
@@ -98,6 +115,7 @@ impl<'a> Plan<'a> {
         let is_cheap = self.budget.is_finite() && output <= HAND_OVER_SHARE * self.left();
         if is_cheap {
             self.worked(output);
+            self.stands = true;
         }
         is_cheap
     }
@@ -138,7 +156,8 @@ impl<'a> Plan<'a> {
         if !self.budget.is_finite() {
             return f64::INFINITY;
         }
-        self.tuning.usable_share * self.speed() * (self.budget - self.machine.now())
+        let share = if self.stands { STANDING_SHARE } else { self.tuning.usable_share };
+        share * self.speed() * (self.budget - self.machine.now())
     }
 
     /// The highest workload from `workload` down whose `cost` fits the time left; the lowest if none fits.
