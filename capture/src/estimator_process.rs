@@ -187,10 +187,8 @@ fn ended(waited: &Waited, answer: &str, last_lines: &VecDeque<String>, limit_mb:
         _ => Some(failure(waited, last_lines, limit_mb)),
     };
     let mut entry = answer.unwrap_or(EstimatorEntry { outcome: EstimatorOutcome::Failed, ..Default::default() });
-    if !entry.has_result() {
-        if answers::recover(result) {
-            entry.outcome = EstimatorOutcome::Partial;
-        }
+    if !entry.has_result() && answers::recover(result) {
+        entry.outcome = EstimatorOutcome::Partial;
     }
     if entry.has_result() {
         match Estimate::read(result) {

@@ -196,6 +196,21 @@ mod tests {
     }
 
     #[test]
+    fn a_sketch_is_small_and_near_the_surface() {
+        let height = |r: u32, c: u32| 3.0 * libm::sinf(r as f32 * 0.1) * libm::cosf(c as f32 * 0.1);
+        let mesh = grid(100, 100, false, |r, c| (Vec3::new(r as f32, c as f32, height(r, c)), Vec3::Z));
+        let sketch = sketched(&mesh, 400);
+        assert!((300..900).contains(&sketch.positions.len()), "{}", sketch.positions.len());
+        assert!(sketch.triangles.len() > 400);
+        let away = |p: &Vec3| (height(p.x.round() as u32, p.y.round() as u32) - p.z).abs();
+        assert!(sketch.positions.iter().all(|p| away(p) < 1.0));
+        assert_eq!(sketched(&mesh, 20_000).positions.len(), 10_000, "nothing is left out without need");
+        let mut broken = mesh;
+        broken.triangles.push([0, 1, 1_000_000]);
+        assert!(!sketched(&broken, 400).triangles.is_empty(), "what no vertex has is left out");
+    }
+
+    #[test]
     fn sheets_in_one_cell_stay_apart_and_keep_their_borders() {
         let mut mesh = grid(60, 60, false, |r, c| (Vec3::new(r as f32, c as f32, 0.0), Vec3::Z));
         let back = grid(60, 60, false, |r, c| (Vec3::new(c as f32, r as f32, -0.5), Vec3::NEG_Z));
