@@ -14,6 +14,9 @@ use recordings::decision::{Decision, Warning};
 use recordings::scan::{Scan, ScanSource};
 use recordings::types::Mesh;
 
+/// A mesh with fewer than one of so many vertices is sketched: care for thin things would keep far more than were planned.
+const SKETCHED: usize = 20;
+
 /// A scan, ready for the factorisation.
 pub struct Prepared {
     /// Regular mesh with unit normals.
@@ -61,8 +64,11 @@ impl Prepared {
 pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     run.progress.stage("mesh", 0.0);
     let (config, plan) = (run.config, &run.plan);
-    let mesh = if plan.workload().vertices < Run::size(scan, config).vertices as usize {
-        clustering::coarsened(&scan.mesh, plan.workload().vertices)
+    let vertices = plan.workload().vertices;
+    let mesh = if vertices < scan.mesh.positions.len() / SKETCHED {
+        clustering::sketched(&scan.mesh, vertices)
+    } else if vertices < Run::size(scan, config).vertices as usize {
+        clustering::coarsened(&scan.mesh, vertices)
     } else {
         regularise::regularise(&scan.mesh, config, scan.source)
     };

@@ -63,13 +63,17 @@ impl Answers {
         Self { result, origin, reporter, started, budget, state: Mutex::default() }
     }
 
-    /// Writes an answer, which replaces the one before.
+    /// Writes an answer, which replaces the one before unless a stage of it had to be abandoned.
     ///
     /// # Errors
     /// The disk is full or gone.
     pub fn stand(&self, estimate: &Estimate) -> Result<(), Failure> {
-        if self.lock().is_over {
-            return Ok(());
+        {
+            let state = self.lock();
+            // A stage that was given up half-way spoils more than the stages that an earlier answer lacks.
+            if state.is_over || (state.newest.is_some() && estimate.cuts.iter().any(Cut::is_abandoned)) {
+                return Ok(());
+            }
         }
         let next = beside(&self.result, NEXT);
         let written = estimate.write_from(&next, Some(&self.origin));
@@ -153,7 +157,7 @@ mod tests {
     }
 
     fn named(name: &str) -> Estimate {
-        Estimate { name: name.into(), ..sample() }
+        Estimate { name: name.into(), cuts: Vec::new(), ..sample() }
     }
 
     fn answers(result: &Path, budget: Duration) -> Answers {
@@ -186,6 +190,19 @@ mod tests {
         answers.stand(&named("too late")).unwrap();
         assert_eq!((name(), files(folder.path())), ("better".into(), vec!["a.lres".into()]));
         assert!(Origin::read(&result).unwrap().is_some());
+    }
+
+    #[test]
+    fn an_answer_with_an_abandoned_stage_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let result = folder.path().join("a.lres");
+        let cuts = vec![Cut::AbandonedTransfer { rays: 8 }];
+        let answers = answers(&result, Duration::from_secs(600));
+        answers.stand(&Estimate { cuts: cuts.clone(), ..named("abandoned") }).unwrap();
+        answers.stand(&named("first")).unwrap();
+        answers.stand(&Estimate { cuts, ..named("abandoned again") }).unwrap();
+        assert!(answers.put_in_place().unwrap());
+        assert_eq!(Estimate::read(&result).unwrap().name, "first");
     }
 
     #[test]
