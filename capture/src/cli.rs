@@ -33,7 +33,7 @@ Exit codes:
   2  usage or configuration
   3  no device, or unreadable input
   4  the scan is unusable: tracking never held
-  5  a stage had to be abandoned for the budget; a partial result was written
+  5  a stage had to be abandoned for the budget, or the result was more than a second late; it was written
   6  too little memory
 
 After 3 and 4 the same input fails again, everywhere; after 5 and 6 it may succeed with more time or memory."
@@ -141,7 +141,8 @@ pub struct Effort {
     /// Worker threads [default: one per processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Address space of the estimator in MB; it ends when it needs more.
+    /// Memory of the estimator in MB: it plans to fit, with fewer vertices if need be, and ends when it needs more. With --rounds, a
+    /// limit alone.
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     pub memory: Option<u32>,
 }

@@ -3,6 +3,7 @@
 
 use crate::child_process::{IDLE, Waited, relay, wait};
 use crate::cli::Effort;
+use crate::commands::estimate::answers;
 use crate::device_folder::manifest::{EstimatorEntry, EstimatorOutcome};
 use crate::failure::{Failure, Retry};
 use crate::memory;
@@ -55,7 +56,7 @@ impl Ended {
 }
 
 /// What the estimator reads and writes.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Files {
     /// The scan.
     pub scan: PathBuf,
@@ -147,7 +148,7 @@ pub fn estimate(
         let is_out_of_memory = memory::out_of_memory_kills() > kills_before;
         let last_lines = relay.join().unwrap_or_default();
         let answer = answer.join().unwrap_or_default();
-        let waited = Waited { is_out_of_memory, ..waited? };
+        let waited = Waited { is_out_of_memory, ..waited.inspect_err(|_| answers::clear(&files.result))? };
         Ok(ended(&waited, &answer, &last_lines, effort.memory, &files.result))
     })
 }
@@ -186,6 +187,9 @@ fn ended(waited: &Waited, answer: &str, last_lines: &VecDeque<String>, limit_mb:
         _ => Some(failure(waited, last_lines, limit_mb)),
     };
     let mut entry = answer.unwrap_or(EstimatorEntry { outcome: EstimatorOutcome::Failed, ..Default::default() });
+    if !entry.has_result() && answers::recover(result) {
+        entry.outcome = EstimatorOutcome::Partial;
+    }
     if entry.has_result() {
         match Estimate::read(result) {
             Ok(estimate) => entry.describe(&estimate),

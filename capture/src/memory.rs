@@ -29,7 +29,8 @@ pub fn cpu_seconds() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// Makes this process the first victim of the out-of-memory killer, and limits its address space to `mb`.
+/// Makes this process the first victim of the out-of-memory killer, and limits its data to `mb`: the last resort, where the plan of the
+/// estimator was wrong.
 ///
 /// # Errors
 /// The system refuses the limit.
@@ -38,9 +39,9 @@ pub fn limit(mb: Option<u32>) -> Result<(), Failure> {
     let _ = std::fs::write("/proc/self/oom_score_adj", "800");
     let Some(mb) = mb else { return Ok(()) };
     let bytes = Some(u64::from(mb) * 1_000_000);
-    let old = rustix::process::getrlimit(rustix::process::Resource::As);
+    let old = rustix::process::getrlimit(rustix::process::Resource::Data);
     let new = rustix::process::Rlimit { current: bytes, maximum: old.maximum };
-    rustix::process::setrlimit(rustix::process::Resource::As, new)
+    rustix::process::setrlimit(rustix::process::Resource::Data, new)
         .map_err(|e| Failure::Usage(format!("--memory {mb}: {e}; the system has set a lower limit")))
 }
 

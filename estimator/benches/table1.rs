@@ -99,7 +99,7 @@ fn main() {
         };
         let (_, iteration) = timed(|| factorise(Arc::new(traced), &colors, &options, None));
         drop(fields);
-        let options = Options { budget: Duration::from_secs(3600), rounds: None, reference: None };
+        let options = Options { budget: Duration::from_secs(3600), rounds: None, reference: None, memory_mb: None };
         let (_, whole) = timed(|| estimator::estimate(&scan, &config, &options, &()).expect("an answer"));
         all_in.push((mesh.positions.len() as f64, whole.y));
         let total = gi + segmentation + iteration;

@@ -1,5 +1,6 @@
 //! Options, progress and errors of the estimator.
 
+use recordings::result::Estimate;
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
@@ -69,12 +70,16 @@ pub struct Options {
     pub rounds: Option<u32>,
     /// A surface whose albedo fixes the scale, if the user knows one.
     pub reference: Option<Reference>,
+    /// Megabytes that a run within a budget is planned to fit; `None` plans for time alone.
+    pub memory_mb: Option<u32>,
 }
 
 /// Gets the progress of every stage.
 pub trait Progress: Sync {
     /// `fraction` of stage `name` is done (0 at its start, 1 at its end).
     fn stage(&self, name: &'static str, fraction: f64);
+    /// A complete result that stands before the run ends, each better than the one before. Runs without a clock have none.
+    fn answer(&self, _answer: &Estimate) {}
 }
 
 /// Reports nothing.

@@ -12,7 +12,7 @@
 //! let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../recordings/data/tiny.lscan");
 //! let scan = Scan::read(path.as_ref())?;
 //! // A fixed number of ray rounds instead of the clock: the result is the same on every run.
-//! let options = Options { budget: Duration::from_secs(120), rounds: Some(1), reference: None };
+//! let options = Options { budget: Duration::from_secs(120), rounds: Some(1), reference: None, memory_mb: None };
 //! let result = estimate(&scan, &EstimatorConfig::default(), &options, &())?;
 //! assert_eq!(result.albedo.len(), result.mesh.positions.len());
 //! assert_eq!(result.light.coefficients.len() as u32, result.light.bands().pow(2));
@@ -45,7 +45,7 @@ use crate::factorisation::factorise;
 use crate::specular::Gloss;
 use crate::stages::{Answer, Run};
 use firmware_config::EstimatorConfig;
-use recordings::decision::Warning;
+use recordings::decision::Milestone;
 use recordings::local_light::LightModel;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
@@ -78,7 +78,9 @@ pub fn estimate_on(
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
     let config = &budget::at_quality(config);
+    let first = stages::first_answer(machine, scan, config, options, progress);
     let mut run = Run::new(machine, scan, config, options, progress);
+    run.plan.after(first);
 
     // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
     let mut prepared = stages::prepare(scan, &mut run)?;
@@ -92,6 +94,10 @@ pub fn estimate_on(
     // Light that is not distant, where held-out surface asks for it (N1).
     let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
 
+    let mut early = Answer { found, gloss: vec![Gloss::NONE; prepared.segments] };
+    stages::hand_over(scan, &mut prepared, &mut early, &local_light, Milestone::Albedo, &mut run);
+    let Answer { mut found, gloss: none } = early;
+
     // Glare of the lens, and §3.2 again: segments of like albedo are one material.
     let (blocked, bands) = (model.traced.mean_blocked(), model.options.bands);
     if local_light.model == LightModel::Distant && run.plan.materials(blocked, bands) {
@@ -104,44 +110,24 @@ pub fn estimate_on(
     let lit_with_gloss = prepared.fields.lit_color.clone();
     let mut answer = if local_light.model == LightModel::Distant {
         let mut answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
+        answer.found = stages::spend(&mut prepared, answer.found, &model.options, &mut run);
         stages::check_distance(&mut prepared, &answer.found, config);
         // The factor per channel that Eq. (9) leaves free (S1).
         stages::fix_scale(&mut prepared, &mut answer, config);
         answer
     } else {
         // Eq. (13) mirrors distant light alone.
-        Answer { found, gloss: vec![Gloss::NONE; prepared.segments] }
+        Answer { found, gloss: none }
     };
 
     stages::name_materials(&mut prepared, &mut answer, config);
+    stages::hand_over(scan, &mut prepared, &mut answer, &local_light, Milestone::Gloss, &mut run);
     let texture = stages::texture(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
 
     // Frames that no step used.
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, texture.as_ref(), &mut run);
-    prepared.decisions.push(stages::transfer_decision(&answer.found, config));
-    prepared.warnings.extend((scan.keyframes.len() < 2).then_some(Warning::OneKeyframe));
-    prepared.warnings.extend(stages::unseen_light(&answer.found, config));
-
     run.plan.writing();
     progress.stage("done", 1.0);
-    Ok(Estimate {
-        name: scan.name.clone(),
-        response: scan.sensor.response,
-        keyframes: stages::keyframes(scan, &prepared),
-        segments: stages::segments(&prepared.segment, &answer.found, &answer.gloss),
-        light: stages::light(&prepared, &answer, config),
-        transfer: stages::transfer_level(&answer.found),
-        mesh: prepared.mesh,
-        segment: prepared.segment,
-        lit_color: prepared.fields.lit_color,
-        albedo: answer.found.detail.albedo,
-        confidence: answer.found.detail.confidence,
-        albedo_scale_rule: stages::scale_rule(&prepared.decisions),
-        decisions: prepared.decisions,
-        cuts: run.plan.cuts(),
-        warnings: prepared.warnings,
-        witnesses,
-        local_light,
-        texture,
-    })
+    let (estimate, _) = stages::result(scan, &mut prepared, answer, local_light, &run);
+    Ok(Estimate { witnesses, texture, ..estimate })
 }

@@ -23,7 +23,7 @@ section! {
         max_aside: u32 = 3, [0..=100], "", "";
         /// Upper bound of the memory plan of the capture process.
         memory_limit_mb: u32 = 1400, [64..=1000000], "MB", "";
-        /// Limit of the address space of the estimator process; only this process ends if it needs more. 0 = no limit.
+        /// Memory that the estimator process plans to fit; only this process ends if it needs more. 0 = no limit.
         estimator_limit_mb: u32 = 2000, [0..=1000000], "MB", "";
     } with crate::tuning::DaemonTuning
 }

@@ -423,6 +423,35 @@ pub enum Cut {
     Texture,
     /// Glare was not looked for, nor segments joined by their albedo.
     Materials,
+    /// The budget ended, and the first answer is the result.
+    FirstAnswer {
+        /// Vertices that it was made from.
+        vertices: u32,
+        /// Keyframes that it was made from.
+        keyframes: u32,
+    },
+    /// The budget ended before the stages that follow this one.
+    EndOfBudget {
+        /// The last stage of the result.
+        after: Milestone,
+    },
+    /// Reduced for the memory that the run may use.
+    Memory {
+        /// What was reduced.
+        what: Reduction,
+        /// Megabytes that the run may use.
+        limit_mb: u32,
+    },
+}
+
+/// A stage after which a result stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Milestone {
+    /// Light and albedo.
+    Albedo,
+    /// Gloss.
+    Gloss,
 }
 
 impl Cut {

@@ -1,8 +1,8 @@
 //! Sentences for decisions, cuts and warnings: the one place where they are worded. Programs read the types.
 
 use crate::decision::{
-    BouncedLight, Cut, Decision, DecisionText, ExposureModel, PositionEvidence, Reduction, ResponseTest, ScaleBasis,
-    TransferNext, Warning,
+    BouncedLight, Cut, Decision, DecisionText, ExposureModel, Milestone, PositionEvidence, Reduction, ResponseTest,
+    ScaleBasis, TransferNext, Warning,
 };
 use crate::local_light::LightModel;
 use crate::types::Response;
@@ -353,6 +353,16 @@ impl fmt::Display for Cut {
             Self::LocalLight => f.write_str("light: lamps and emitting surfaces were not looked for"),
             Self::Witnesses { predicted, of } => write!(f, "witnesses: {predicted} of {of} predicted"),
             Self::AbandonedTransfer { rays } => write!(f, "abandoned: transfer with {rays} rays per vertex"),
+            Self::FirstAnswer { vertices, keyframes } => {
+                write!(f, "end of the budget: the first answer, from {vertices} vertices and {keyframes} keyframes")
+            }
+            Self::EndOfBudget { after: Milestone::Albedo } => f.write_str(
+                "end of the budget: without what follows light and albedo (glare, materials, gloss, texture)",
+            ),
+            Self::EndOfBudget { after: Milestone::Gloss } => {
+                f.write_str("end of the budget: without what follows gloss (texture, prediction of validation frames)")
+            }
+            Self::Memory { what, limit_mb } => write!(f, "{what} (for {limit_mb} MB of memory)"),
         }
     }
 }
@@ -531,6 +541,25 @@ mod tests {
                 "one keyframe: exposure, pose and gloss cannot be told",
                 "light: 2 of the 3 directions of its first band are not told by these surfaces; the rest of the light \
                  cannot be seen from here",
+            ]
+        );
+    }
+
+    #[test]
+    fn early_answers_and_small_ones_say_why() {
+        let cuts = [
+            Cut::FirstAnswer { vertices: 2200, keyframes: 8 },
+            Cut::EndOfBudget { after: Milestone::Albedo },
+            Cut::EndOfBudget { after: Milestone::Gloss },
+            Cut::Memory { what: Reduction::Vertices { to: 7000, from: 10_000 }, limit_mb: 600 },
+        ];
+        assert_eq!(
+            cuts.map(|c| c.to_string()),
+            [
+                "end of the budget: the first answer, from 2200 vertices and 8 keyframes",
+                "end of the budget: without what follows light and albedo (glare, materials, gloss, texture)",
+                "end of the budget: without what follows gloss (texture, prediction of validation frames)",
+                "vertices: about 7000 instead of 10000 (for 600 MB of memory)",
             ]
         );
     }

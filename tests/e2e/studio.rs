@@ -54,19 +54,21 @@ fn a_result_is_made_again_when_something_changed() {
 fn the_line_says_whether_to_try_again() {
     let dir = tempfile::tempdir().unwrap();
     let scan = small_scan(dir.path(), &["--no-estimate"]).join("scan.lscan");
+    // More than the least limits hold, the program itself not counted.
+    let large = small_scan(dir.path(), &["--no-estimate", "--set", "fusion.voxel_size_m=0.015"]).join("scan.lscan");
     let bad = dir.path().join("bad.lscan");
     std::fs::write(&bad, &std::fs::read(&scan).unwrap()[..1000]).unwrap();
     for (scan, more, code, retry) in [
         (&bad, &[][..], 3, "never"),
-        (&scan, &["--memory", "16", "--rounds", "1"], 6, "elsewhere"),
-        (&scan, &["--memory", "20", "--threads", "1", "--rounds", "1"], 6, "elsewhere"),
+        (&large, &["--memory", "16", "--rounds", "1"], 6, "elsewhere"),
+        (&large, &["--memory", "20", "--threads", "1", "--rounds", "1"], 6, "elsewhere"),
     ] {
         let (line, status) = estimate(scan, more);
         assert_eq!((status, &line["exit_code"]), (code, &code.into()), "{line}");
         assert_eq!((&line["outcome"], &line["retry"]), (&"failed".into(), &retry.into()), "{line}");
         assert!(line["problem"].is_string(), "{line}");
     }
-    assert!(!scan.with_file_name("result.lres").exists());
+    assert!(!large.with_file_name("result.lres").exists());
 }
 
 #[test]

@@ -149,7 +149,8 @@ fn validation_frames_gain_by_corrections() {
         bands: 3,
         ..EstimatorConfig::default()
     };
-    let options = estimator::Options { budget: Duration::from_secs(3600), rounds: Some(1), reference: None };
+    let options =
+        estimator::Options { budget: Duration::from_secs(3600), rounds: Some(1), reference: None, memory_mb: None };
     let without = estimator::estimate(&scan, &config, &options, &()).unwrap();
     assert_eq!(with.witnesses.len(), 3);
     for (a, b) in with.witnesses.iter().zip(&without.witnesses) {

@@ -14,7 +14,7 @@ use tests::truth::Truth;
 fn figures(name: &str) -> (usize, Figures) {
     let truth = Truth::read(&tests::shared(), name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
-    let options = Options { budget: Duration::from_secs(3600), rounds: Some(2), reference: None };
+    let options = Options { budget: Duration::from_secs(3600), rounds: Some(2), reference: None, memory_mb: None };
     let found = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &()).expect("an answer");
     (truth.mesh.positions.len(), evaluate(&truth, &scan, &found))
 }

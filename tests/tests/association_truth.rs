@@ -70,7 +70,7 @@ fn a_validation_frame_is_predicted_better_with_exposure_and_pose() {
     scan.witnesses = vec![scan.keyframes.remove(5)];
     let predicted = |refine_poses, exposure| {
         let config = EstimatorConfig { refine_poses, exposure, rays: 32, bands: 3, ..Default::default() };
-        let options = Options { budget: Duration::from_secs(3600), rounds: None, reference: None };
+        let options = Options { budget: Duration::from_secs(3600), rounds: None, reference: None, memory_mb: None };
         let result = estimate(&scan, &config, &options, &()).expect("a result");
         assert!(
             result.decisions.iter().any(|d| matches!(d, Decision::Witnesses { frames: 1, .. })),

@@ -2,13 +2,13 @@
 
 #![allow(clippy::expect_used, reason = "these are tests")]
 
-use estimator::Options;
 use estimator::budget::{Machine, Plan};
 use estimator::estimate_on;
 use estimator::stages::Run;
+use estimator::{Options, Progress};
 use firmware_config::EstimatorConfig;
 use glam::Vec3;
-use recordings::decision::{Cut, Reduction};
+use recordings::decision::{Cut, Milestone, Reduction};
 use recordings::result::Estimate;
 use recordings::scan::Scan;
 use std::sync::Mutex;
@@ -48,7 +48,7 @@ impl Machine for Simulated {
 }
 
 fn run(scan: &Scan, machine: &Simulated, budget: f64) -> Estimate {
-    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None, reference: None };
+    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None, reference: None, memory_mb: None };
     let e = estimate_on(machine, scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     assert!(e.albedo.iter().all(|a| a.is_finite()), "a valid result");
     assert!(e.confidence.iter().any(|c| *c > 0.1), "some albedos are known");
@@ -133,7 +133,12 @@ fn a_machine_that_is_halted_again_and_again_is_slow() {
 fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let size = Run::size(&scan, &config);
-    let options = |milliseconds| Options { budget: Duration::from_millis(milliseconds), rounds: None, reference: None };
+    let options = |milliseconds| Options {
+        budget: Duration::from_millis(milliseconds),
+        rounds: None,
+        reference: None,
+        memory_mb: None,
+    };
     let has_gloss =
         |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).workload().specular;
     // The most time that gloss is not planned for; then no round of pose refinement is asked for, which was planned.
@@ -157,7 +162,7 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
 fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
-    let options = Options { budget: Duration::from_secs(40), rounds: None, reference: None };
+    let options = Options { budget: Duration::from_secs(40), rounds: None, reference: None, memory_mb: None };
     let mut plan = Plan::new(&machine, &options, &config, Run::size(&scan, &config));
     let stall = |seconds: f64| *machine.now.lock().expect("nobody panicked") += seconds;
     let watch = plan.watch_rays(64);
@@ -174,14 +179,49 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     assert!(plan.cuts().iter().any(Cut::is_abandoned), "{:?}", plan.cuts());
 }
 
+/// When each answer stood, its vertices and what it lacks.
+struct Answers<'a>(&'a Simulated, Mutex<Vec<(f64, Estimate)>>);
+
+impl Progress for Answers<'_> {
+    fn stage(&self, _: &'static str, _: f64) {}
+
+    fn answer(&self, estimate: &Estimate) {
+        self.1.lock().expect("nobody panicked").push((self.0.now(), estimate.clone()));
+    }
+}
+
+#[test]
+fn complete_answers_stand_before_the_last_one() {
+    let (scan, machine, budget) = (corner(), Simulated::new(0.05, &[]), 60.0);
+    let answers = Answers(&machine, Mutex::default());
+    let options = Options { budget: Duration::from_secs_f64(budget), rounds: None, reference: None, memory_mb: None };
+    let last = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &answers).expect("a result");
+    let answers = answers.1.into_inner().expect("nobody panicked");
+    let lacks = |e: &Estimate| e.cuts.last().cloned();
+    let after = |after| Some(Cut::EndOfBudget { after });
+    let [(early, first), (_, light), (_, gloss)] = answers.as_slice() else { panic!("{} answers", answers.len()) };
+    assert!(*early <= 0.15 * budget, "the first answer after {early} s of {budget}");
+    assert!(matches!(lacks(first), Some(Cut::FirstAnswer { .. })), "{:?}", first.cuts);
+    assert_eq!((lacks(light), lacks(gloss)), (after(Milestone::Albedo), after(Milestone::Gloss)));
+    for (_, answer) in &answers {
+        assert!(answer.confidence.iter().any(|c| *c > 0.1), "some albedos are known");
+        answer.write(tempfile::NamedTempFile::new().expect("a file").path()).expect("a valid result");
+    }
+    assert!(first.mesh.positions.len() < last.mesh.positions.len(), "coarse");
+    assert_eq!(light.mesh, last.mesh);
+    assert!(!last.cuts.iter().any(|c| matches!(c, Cut::EndOfBudget { .. } | Cut::FirstAnswer { .. })));
+}
+
 /// Rounds replace the clock: whatever the machine does, the bytes are the same.
 #[test]
 fn rounds_replace_the_clock() {
     let scan = scan(globe(24, 0.5, 1.0), 3, 2.0, shaded);
-    let options = Options { budget: Duration::from_millis(1), rounds: Some(1), reference: None };
+    let options = Options { budget: Duration::from_millis(1), rounds: Some(1), reference: None, memory_mb: None };
     let run = |speed| {
         let machine = Simulated::new(speed, &[(0.0, 10.0)]);
-        let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &()).expect("a result");
+        let answers = Answers(&machine, Mutex::default());
+        let e = estimate_on(&machine, &scan, &EstimatorConfig::default(), &options, &answers).expect("a result");
+        assert!(answers.1.into_inner().expect("nobody panicked").is_empty(), "there is one answer");
         assert_eq!(machine.now(), 0.0, "the clock is neither read nor advanced");
         e
     };

@@ -21,7 +21,7 @@ const MAX_BYTES_PER_VERTEX: f64 = 24.0;
 fn check(name: &str, bounds: &Figures) {
     let truth = Truth::read(&tests::shared(), name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
-    let options = Options { budget: Duration::from_secs(600), rounds: Some(2), reference: None };
+    let options = Options { budget: Duration::from_secs(600), rounds: Some(2), reference: None, memory_mb: None };
     let found = estimator::estimate(&scan, &EstimatorConfig::default(), &options, &()).expect("an answer");
     let figures = evaluate(&truth, &scan, &found);
     println!("{name}: {figures:.5?}");

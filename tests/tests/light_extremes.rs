@@ -20,7 +20,7 @@ fn wall(n: u32, size: f32) -> Mesh {
 }
 
 fn run(scan: &Scan) -> Result<Estimate, EstimateError> {
-    let options = Options { budget: Duration::from_secs(600), rounds: Some(1), reference: None };
+    let options = Options { budget: Duration::from_secs(600), rounds: Some(1), reference: None, memory_mb: None };
     let e = estimator::estimate(scan, &EstimatorConfig::default(), &options, &())?;
     let finite = |v: &Vec3| v.is_finite() && v.min_element() >= 0.0;
     assert_eq!(e.albedo.len(), e.mesh.positions.len());

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tests::scans::{globe, joined, lit, looking, sheet};
 
 fn run(scan: &Scan) -> Estimate {
-    let options = Options { budget: Duration::from_secs(600), rounds: Some(1), reference: None };
+    let options = Options { budget: Duration::from_secs(600), rounds: Some(1), reference: None, memory_mb: None };
     let e = estimate(scan, &EstimatorConfig::default(), &options, &()).expect("a result");
     for d in e.decisions.iter().map(Decision::text) {
         println!("{}: {} · {} · cost: {} · next: {}", d.name, d.choice, d.evidence, d.cost, d.next_level);

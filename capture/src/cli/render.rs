@@ -78,7 +78,7 @@ pub struct Render {
     /// Worker threads [default: one a processor].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Address space in MB; the command ends when it needs more.
+    /// Memory in MB; the command ends when it needs more.
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(16..))]
     pub memory: Option<u32>,
     /// End when the process with this id, the parent, ends.

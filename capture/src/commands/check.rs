@@ -262,7 +262,12 @@ fn memory_finding(config: &Config) -> Finding {
 /// Whether the estimator's own plan for a typical scan fits the daemon's budget on this machine.
 fn speed(config: &Config) -> Finding {
     let clock = WallClock::start();
-    let options = Options { budget: Duration::from_secs_f64(config.daemon.budget_s), rounds: None, reference: None };
+    let options = Options {
+        budget: Duration::from_secs_f64(config.daemon.budget_s),
+        rounds: None,
+        reference: None,
+        memory_mb: None,
+    };
     let plan = Plan::new(&clock, &options, &at_quality(&config.estimator), TYPICAL_SCAN);
     let verdict = if plan.cuts().is_empty() { Verdict::Ok } else { Verdict::Warning };
     let detail = format!(

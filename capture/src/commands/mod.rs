@@ -4,7 +4,7 @@ mod capture;
 mod check;
 mod config;
 pub mod dispatch;
-mod estimate;
+pub mod estimate;
 mod export;
 mod files;
 mod handoff;

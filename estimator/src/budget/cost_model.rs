@@ -31,11 +31,11 @@ const PER_VERTEX_LIT: f64 = 2.0e-5;
 /// One validation frame, per pixel.
 const PER_WITNESS_PIXEL: f64 = 3.0e-6;
 /// The atlas, its texels without the views, and its compression.
-const ATLAS: f64 = 1.2;
+const ATLAS: f64 = 1.5;
 /// The texels of one keyframe.
-const PER_TEXTURED_VIEW: f64 = 0.1;
+const PER_TEXTURED_VIEW: f64 = 0.15;
 /// Writing the result, per vertex.
-const PER_VERTEX_WRITTEN: f64 = 5.0e-6;
+const PER_VERTEX_WRITTEN: f64 = 1.0e-6;
 /// Bounces until convergence, typically.
 const LIKELY_BOUNCES: f64 = 8.0;
 /// Series of bounces in a run: for model selection, the first albedo, the last albedo, and again without gloss.

@@ -4,12 +4,15 @@
 //! rays before surplus vertices, those before refinements, and these before further vertices.
 
 pub mod cost_model;
+mod first_answer;
 mod machine;
+mod memory;
 mod plan;
 mod probe;
 mod quality;
 mod workload;
 
+pub use first_answer::{Done, FirstAnswer};
 pub use machine::{Machine, WallClock};
 pub use plan::Plan;
 pub use quality::at_quality;

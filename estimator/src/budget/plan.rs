@@ -2,13 +2,23 @@
 
 use crate::api::Options;
 use crate::budget::cost_model::{self, Size};
+use crate::budget::first_answer::Done;
 use crate::budget::machine::Machine;
+use crate::budget::memory;
 use crate::budget::probe::{self, Probe};
 use crate::budget::workload::Workload;
 use firmware_config::EstimatorConfig;
 use firmware_config::tuning::BudgetTuning;
-use recordings::decision::Cut;
+use recordings::decision::{Cut, Reduction};
 use std::sync::Mutex;
+
+/// An answer that stands is written before the run ends if that takes less than this share of the time left.
+const HAND_OVER_SHARE: f64 = 0.1;
+/// Rays that were cut are traced in the end if more than this share of the budget is left.
+const SPARE_SHARE: f64 = 0.1;
+
+/// Share of the time left that is planned with once an answer stands: what comes too late then is not missed.
+const STANDING_SHARE: f64 = 0.9;
 
 /// The clock and the budget of one run.
 pub struct Plan<'a> {
@@ -18,7 +28,11 @@ pub struct Plan<'a> {
     size: Size,
     tuning: BudgetTuning,
     probe: Probe,
-    /// Reference seconds of work done since the probe.
+    /// Seconds of work that was done before the probe.
+    before: f64,
+    /// An answer on the planned mesh stands.
+    stands: bool,
+    /// Reference seconds of work done before and since the probe.
     work: f64,
     /// Everything that was asked for.
     full: Workload,
@@ -34,11 +48,30 @@ impl<'a> Plan<'a> {
     /// Measures the machine and plans all stages. With rounds given, no clock is read.
     #[must_use]
     pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
-        let full = Workload::full(config, options.rounds);
+        let mut full = Workload::full(config, options.rounds);
         let tuning = config.tuning.budget.clone();
         let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
-        let (probe, planned, fixed) = (Probe { speed: 1.0, end: 0.0 }, Vec::new(), Vec::new());
-        let mut plan = Self { machine, budget, size, tuning, probe, work: 0.0, full, workload: full, planned, fixed };
+        let (probe, planned, mut fixed) = (Probe { speed: 1.0, end: 0.0 }, Vec::new(), Vec::new());
+        if let Some(limit_mb) = options.memory_mb.filter(|_| budget.is_finite()) {
+            let asked = full;
+            full = memory::fitting(asked, &size, limit_mb, &tuning);
+            let reductions = full.reductions_from(&asked, &size);
+            fixed.extend(reductions.into_iter().map(|what| Cut::Memory { what, limit_mb }));
+        }
+        let mut plan = Self {
+            machine,
+            budget,
+            size,
+            tuning,
+            probe,
+            before: 0.0,
+            stands: false,
+            work: 0.0,
+            full,
+            workload: full,
+            planned,
+            fixed,
+        };
         if budget.is_finite() {
             plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
             tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.probe.speed);
@@ -66,6 +99,38 @@ impl<'a> Plan<'a> {
         self.full.all(&self.size) / self.speed()
     }
 
+    /// Plans again with what was done before: it tells more of the machine than the probe.
+    pub fn after(&mut self, first: Done) {
+        if self.budget.is_finite() {
+            self.work += first.reference_seconds;
+            self.before = first.seconds;
+            let found = self.fitting(self.full, |w| w.all(&self.size));
+            self.adopt(found);
+        }
+    }
+
+    /// True if an answer that stands is worth its writing; reports that as work.
+    pub fn hand_over(&mut self) -> bool {
+        let output = cost_model::output(&self.workload.size(&self.size));
+        let is_cheap = self.budget.is_finite() && output <= HAND_OVER_SHARE * self.left();
+        if is_cheap {
+            self.worked(output);
+            self.stands = true;
+        }
+        is_cheap
+    }
+
+    /// True if rays were cut, and more of the budget is left than the texture and a margin take.
+    #[must_use]
+    pub fn has_spare(&self) -> bool {
+        let is_of_rays = |cut: &Cut| match cut {
+            Cut::Planned { what, .. } => matches!(what, Reduction::Rays { .. }),
+            cut => matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }),
+        };
+        let rest = self.workload.end(&self.workload.size(&self.size));
+        self.cuts().iter().any(is_of_rays) && self.left() - rest > SPARE_SHARE * self.budget * self.speed()
+    }
+
     /// Records a cut that is final.
     pub fn cut(&mut self, what: Cut) {
         self.fixed.push(what);
@@ -81,7 +146,7 @@ impl<'a> Plan<'a> {
 
     /// Reference seconds per second, from the probe and the stages since.
     fn speed(&self) -> f64 {
-        let spent = self.machine.now() - self.probe.end;
+        let spent = self.before + self.machine.now() - self.probe.end;
         // The probe has the weight of one reference second of work.
         ((self.work + 1.0) / (spent + 1.0 / self.probe.speed)).max(1e-12)
     }
@@ -91,7 +156,8 @@ impl<'a> Plan<'a> {
         if !self.budget.is_finite() {
             return f64::INFINITY;
         }
-        self.tuning.usable_share * self.speed() * (self.budget - self.machine.now())
+        let share = if self.stands { STANDING_SHARE } else { self.tuning.usable_share };
+        share * self.speed() * (self.budget - self.machine.now())
     }
 
     /// The highest workload from `workload` down whose `cost` fits the time left; the lowest if none fits.
@@ -117,6 +183,7 @@ impl<'a> Plan<'a> {
         if self.budget.is_finite() {
             self.machine.worked(reference_seconds);
             self.work += reference_seconds;
+            tracing::debug!("{:.2} reference seconds after {:.2} s", self.work, self.machine.now());
         }
     }
 
@@ -130,7 +197,8 @@ impl<'a> Plan<'a> {
         // Cuts of vertices and keyframes are final from now on.
         let is_fixed = |cut: &Cut| matches!(cut, Cut::Planned { what, .. } if what.is_of_scan());
         let (fixed, planned) = std::mem::take(&mut self.planned).into_iter().partition(is_fixed);
-        (self.fixed, self.planned) = (fixed, planned);
+        self.fixed.extend::<Vec<Cut>>(fixed);
+        self.planned = planned;
     }
 
     /// Maximum number of rounds of pose refinement; [`Self::pose_round`] may end them earlier.
@@ -248,6 +316,8 @@ impl<'a> Plan<'a> {
                 _ => bounces = 2,
             }
         }
+        // This decision takes the place of an earlier one.
+        self.fixed.retain(|cut| !matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }));
         if rays < wanted {
             self.fixed.push(Cut::FewerRays { rays, instead_of: wanted });
         }
@@ -319,14 +389,19 @@ impl<'a> Plan<'a> {
         self.worked(self.workload.materials(&size, blocked, bands));
     }
 
-    /// True if gloss is asked for and fits.
+    /// True if gloss is asked for and fits, planned or not.
     pub fn specular(&mut self, bands: usize) -> bool {
         let size = self.workload.size(&self.size);
         let fits = cost_model::specular(&size, bands) + cost_model::output(&size) <= self.left();
-        if self.workload.specular && !fits {
-            self.fixed.push(Cut::Specular);
+        if self.full.specular && fits {
+            self.adopt(Workload { specular: true, ..self.workload });
+            return true;
         }
-        self.workload.specular && fits
+        if self.workload.specular {
+            self.fixed.push(Cut::Specular);
+            (self.full.specular, self.workload.specular) = (false, false);
+        }
+        false
     }
 
     /// Gloss was looked for.
@@ -336,14 +411,19 @@ impl<'a> Plan<'a> {
         (self.full.specular, self.workload.specular) = (false, false);
     }
 
-    /// True if a texture is asked for and fits.
+    /// True if a texture is asked for and fits, planned or not.
     pub fn texture(&mut self) -> bool {
         let size = self.workload.size(&self.size);
         let fits = cost_model::texture(&size) + cost_model::output(&size) <= self.left();
-        if self.workload.texture && !fits {
-            self.fixed.push(Cut::Texture);
+        if self.full.texture && fits {
+            self.adopt(Workload { texture: true, ..self.workload });
+            return true;
         }
-        self.workload.texture && fits
+        if self.workload.texture {
+            self.fixed.push(Cut::Texture);
+            (self.full.texture, self.workload.texture) = (false, false);
+        }
+        false
     }
 
     /// The texture is made.

@@ -12,6 +12,8 @@ const ROUND: u32 = 64;
 const LIKELY_BLOCKED: f64 = 0.4;
 /// Solutions for the light, besides those of gloss.
 const SOLUTIONS: f64 = 2.5;
+/// Answers that are written: two before the last.
+const WRITTEN: f64 = 3.0;
 
 /// How much of everything a run does.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,7 +94,7 @@ impl Workload {
     pub(super) fn end(&self, size: &Size) -> f64 {
         let specular = if self.specular { cost_model::specular(size, self.bands) } else { 0.0 };
         let texture = if self.texture { cost_model::texture(size) } else { 0.0 };
-        specular + texture + cost_model::output(size)
+        specular + texture + WRITTEN * cost_model::output(size)
     }
 
     /// Reference seconds of the whole run.

@@ -1,5 +1,6 @@
 //! Fewer vertices by clustering: much faster than remeshing, less regular.
 
+use crate::mesh::cells::{by_cell, groups};
 use crate::mesh::repair::{area, edge_for, repaired, usable};
 use crate::mesh::unions::Unions;
 use glam::{IVec3, Vec3, Vec4};
@@ -24,6 +25,27 @@ pub fn coarsened(mesh: &Mesh, vertices: usize) -> Mesh {
         return fine;
     }
     clustered(&fine, cell)
+}
+
+/// A mesh of some more than `vertices` vertices: vertices in one cell that face one way are one. In a fraction of the time of [`coarsened`], and
+/// without its care for thin things, borders and edges with two triangles.
+#[must_use]
+pub fn sketched(mesh: &Mesh, vertices: usize) -> Mesh {
+    let count = mesh.positions.len();
+    let is_whole = mesh.normals.len() == count && mesh.triangles.iter().flatten().all(|i| (*i as usize) < count);
+    if vertices >= count || !is_whole {
+        return repaired(mesh);
+    }
+    let cell = edge_for(area(mesh), vertices as u32);
+    if !(cell > 0.0 && cell.is_finite()) {
+        return repaired(mesh);
+    }
+    let mut patch_of: Vec<u32> = (0..count as u32).collect();
+    let is_usable = |i: usize| mesh.positions[i].is_finite() && mesh.normals[i].is_finite();
+    for group in groups(&by_cell(mesh, cell, is_usable)) {
+        group.iter().for_each(|of| patch_of[of.vertex] = group[0].vertex as u32);
+    }
+    joined(mesh, &patch_of, &vec![false; count])
 }
 
 /// What the vertices of a patch add up to.
@@ -87,13 +109,18 @@ pub fn clustered(mesh: &Mesh, cell: f32) -> Mesh {
             }
         }
     }
-    let mut patches = vec![Patch::default(); count];
-    for i in 0..count {
-        patches[patch_of[i] as usize].add(mesh.positions[i], mesh.normals[i], on_border[i]);
+    joined(mesh, &patch_of, &on_border)
+}
+
+/// The mesh of the patches.
+fn joined(mesh: &Mesh, patch_of: &[u32], on_border: &[bool]) -> Mesh {
+    let mut patches = vec![Patch::default(); mesh.positions.len()];
+    for (i, patch) in patch_of.iter().enumerate() {
+        patches[*patch as usize].add(mesh.positions[i], mesh.normals[i], on_border[i]);
     }
     let positions = patches.iter().map(|p| p.position / p.placed.max(1.0)).collect();
     let normals = patches.iter().map(|p| p.normal.normalize_or(Vec3::Z)).collect();
-    usable(&Mesh { positions, normals, triangles: between(mesh, &patch_of) })
+    usable(&Mesh { positions, normals, triangles: between(mesh, patch_of) })
 }
 
 /// Triangles between three patches.
@@ -166,6 +193,21 @@ mod tests {
     fn bounds(mesh: &Mesh) -> (Vec3, Vec3) {
         let fold = |start, f: fn(Vec3, Vec3) -> Vec3| mesh.positions.iter().copied().fold(start, f);
         (fold(Vec3::INFINITY, Vec3::min), fold(Vec3::NEG_INFINITY, Vec3::max))
+    }
+
+    #[test]
+    fn a_sketch_is_small_and_near_the_surface() {
+        let height = |r: u32, c: u32| 3.0 * libm::sinf(r as f32 * 0.1) * libm::cosf(c as f32 * 0.1);
+        let mesh = grid(100, 100, false, |r, c| (Vec3::new(r as f32, c as f32, height(r, c)), Vec3::Z));
+        let sketch = sketched(&mesh, 400);
+        assert!((300..900).contains(&sketch.positions.len()), "{}", sketch.positions.len());
+        assert!(sketch.triangles.len() > 400);
+        let away = |p: &Vec3| (height(p.x.round() as u32, p.y.round() as u32) - p.z).abs();
+        assert!(sketch.positions.iter().all(|p| away(p) < 1.0));
+        assert_eq!(sketched(&mesh, 20_000).positions.len(), 10_000, "nothing is left out without need");
+        let mut broken = mesh;
+        broken.triangles.push([0, 1, 1_000_000]);
+        assert!(!sketched(&broken, 400).triangles.is_empty(), "what no vertex has is left out");
     }
 
     #[test]

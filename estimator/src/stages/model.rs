@@ -91,6 +91,11 @@ pub fn select_model<'a>(prepared: &mut Prepared, traced: Arc<Traced>, run: &mut 
     model
 }
 
+/// Rays that were cut are traced where time is left for them in the end, and the factorisation is done again with them.
+pub fn spend(prepared: &mut Prepared, found: Factorised, options: &FactorisationOptions, run: &mut Run) -> Factorised {
+    if run.plan.has_spare() { refine(prepared, found, options, run) } else { found }
+}
+
 /// Traces more rays and factorises again if the held-out error asks for it now that gloss is removed.
 pub fn refine(prepared: &mut Prepared, found: Factorised, options: &FactorisationOptions, run: &mut Run) -> Factorised {
     let traced = Arc::clone(&found.transfer.traced);

@@ -14,6 +14,9 @@ use recordings::decision::{Decision, Warning};
 use recordings::scan::{Scan, ScanSource};
 use recordings::types::Mesh;
 
+/// A mesh with fewer than one of so many vertices is sketched: care for thin things would keep far more than were planned.
+const SKETCHED: usize = 20;
+
 /// A scan, ready for the factorisation.
 pub struct Prepared {
     /// Regular mesh with unit normals.
@@ -59,13 +62,25 @@ impl Prepared {
 /// # Errors
 /// The scan is unusable: no triangle, or no keyframe that shows any of it; the reference shows no surface.
 pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
-    let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
-    progress.stage("mesh", 0.0);
-    let mesh = if plan.workload().vertices < Run::size(scan, config).vertices as usize {
-        clustering::coarsened(&scan.mesh, plan.workload().vertices)
+    run.progress.stage("mesh", 0.0);
+    let (config, plan) = (run.config, &run.plan);
+    let vertices = plan.workload().vertices;
+    let mesh = if vertices < scan.mesh.positions.len() / SKETCHED {
+        clustering::sketched(&scan.mesh, vertices)
+    } else if vertices < Run::size(scan, config).vertices as usize {
+        clustering::coarsened(&scan.mesh, vertices)
     } else {
         regularise::regularise(&scan.mesh, config, scan.source)
     };
+    prepare_on(mesh, scan, run)
+}
+
+/// Association (Eqs. 2–5) and segments (Eqs. 6–7) on a mesh that stands for the scan's.
+///
+/// # Errors
+/// As [`prepare`].
+pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
+    let (config, progress, plan) = (run.config, run.progress, &mut run.plan);
     let scene = RayScene::new(&mesh);
     if mesh.positions.is_empty() || mesh.triangles.is_empty() {
         return Err(EstimateError::Unusable("the mesh has no triangle".into()));

@@ -6,15 +6,53 @@ use crate::numerics::sh;
 use crate::specular::Gloss;
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
-use crate::transfer;
+use crate::stages::run::Run;
+use crate::stages::scale::scale_rule;
+use crate::transfer::{self, Transfer};
 use firmware_config::EstimatorConfig;
 use recordings::decision::{BouncedLight, Decision, TransferLevel, TransferNext, Warning};
-use recordings::result::{Light, ResultKeyframe, Segment};
+use recordings::local_light::LocalLight;
+use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
 use recordings::scan::Scan;
 
-/// Keyframes with refined poses and exposures.
+/// The result without texture and validation frames, and the transfer behind it. Takes mesh, segments and lit colours out of `prepared`.
 #[must_use]
-pub fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
+pub fn result(
+    scan: &Scan,
+    prepared: &mut Prepared,
+    answer: Answer,
+    local_light: LocalLight,
+    run: &Run,
+) -> (Estimate, Transfer) {
+    let mut decisions = prepared.decisions.clone();
+    decisions.push(transfer_decision(&answer.found, run.config));
+    let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
+    let unseen_light = unseen_light(&answer.found, run.config);
+    let estimate = Estimate {
+        name: scan.name.clone(),
+        response: scan.sensor.response,
+        keyframes: keyframes(scan, prepared),
+        segments: segments(&prepared.segment, &answer.found, &answer.gloss),
+        light: light(prepared, &answer, run.config),
+        transfer: transfer_level(&answer.found),
+        mesh: std::mem::take(&mut prepared.mesh),
+        segment: std::mem::take(&mut prepared.segment),
+        lit_color: std::mem::take(&mut prepared.fields.lit_color),
+        albedo: answer.found.detail.albedo,
+        confidence: answer.found.detail.confidence,
+        albedo_scale_rule: scale_rule(&decisions),
+        decisions,
+        cuts: run.plan.cuts(),
+        warnings: prepared.warnings.iter().cloned().chain(one_keyframe).chain(unseen_light).collect(),
+        witnesses: Vec::new(),
+        local_light,
+        texture: None,
+    };
+    (estimate, answer.found.transfer)
+}
+
+/// Keyframes with refined poses and exposures.
+fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
     let keyframes = scan.keyframes.iter().zip(&prepared.fields.views);
     let keyframes = keyframes.map(|(k, v)| ResultKeyframe {
         name: k.name.clone(),
@@ -46,8 +84,7 @@ pub fn light(prepared: &Prepared, answer: &Answer, config: &EstimatorConfig) -> 
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.
-#[must_use]
-pub fn segments(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
+fn segments(segment: &[u32], found: &Factorised, gloss: &[Gloss]) -> Vec<Segment> {
     let mut vertices = vec![0u32; gloss.len()];
     for s in segment {
         vertices[*s as usize] += 1;

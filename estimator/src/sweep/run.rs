@@ -26,7 +26,8 @@ const PAPER_BANDS: usize = 5;
 /// Settings of a whole sweep: the grid (diffuse takes no rays), `auto`, named points, three solvers, vertices, keyframes.
 pub const SETTINGS: usize = BANDS.len() * (1 + 2 * RAYS.len()) + 1 + 2 + 3 + VERTICES.len() + 1;
 /// A budget that never binds.
-const UNLIMITED: Options = Options { budget: Duration::from_secs(1_000_000), rounds: None, reference: None };
+const UNLIMITED: Options =
+    Options { budget: Duration::from_secs(1_000_000), rounds: None, reference: None, memory_mb: None };
 
 /// What settings share, and its cost.
 struct Shared {

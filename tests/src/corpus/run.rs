@@ -28,7 +28,7 @@ pub fn photos(
 ) -> Fallible<Row> {
     let scan = import_photos(scene, None)?;
     let started = Instant::now();
-    let options = Options { budget, rounds: None, reference: None };
+    let options = Options { budget, rounds: None, reference: None, memory_mb: None };
     let estimate = estimator::estimate(&scan, config, &options, &())?;
     finish(&estimate, scene, result, false, started.elapsed(), threads)
 }

@@ -40,12 +40,15 @@ impl Inputs {
     }
 }
 
-/// Every setting that a result depends on, one a line. Threads and memory change no result.
+/// Every setting that a result depends on, one a line. Threads change no result, and memory none that has fixed rounds.
 fn settings(config: &EstimatorConfig, effort: &Effort, reference: Option<Reference>) -> String {
     let mut text = match effort.rounds {
         Some(rounds) => format!("rounds = {rounds}\n"),
         None => format!("budget_s = {}\n", effort.budget),
     };
+    if let (None, Some(mb)) = (effort.rounds, effort.memory) {
+        let _ = writeln!(text, "memory_mb = {mb}");
+    }
     if let Some(reference) = reference {
         let _ = writeln!(text, "reference = {reference}");
     }
@@ -84,5 +87,6 @@ mod tests {
         let referred = Inputs::read(scan.as_ref(), &effort(120.0, Some(2), None, None), white).unwrap().origin;
         assert_ne!(referred.settings, first.settings);
         assert_ne!(origin(effort(120.0, None, None, None)), origin(effort(60.0, None, None, None)));
+        assert_ne!(origin(effort(120.0, None, None, None)), origin(effort(120.0, None, None, Some(600))));
     }
 }

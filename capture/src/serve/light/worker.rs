@@ -23,7 +23,7 @@ const SOONER_SHARE: f64 = 0.05;
 const SOONER_S: f64 = 0.1;
 /// Vertices of the mesh that is handed over, in those of the estimate: the estimator makes an even mesh of it.
 const FINER: usize = 2;
-/// Address space of the estimator's process, MB.
+/// Memory of the estimator's process, MB.
 const MEMORY_MB: u32 = 512;
 
 /// Starts the thread; it ends when the hub is gone.
