@@ -65,12 +65,12 @@ pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
     run.progress.stage("mesh", 0.0);
     let (config, plan) = (run.config, &run.plan);
     let vertices = plan.workload().vertices;
-    let mesh = if vertices < scan.mesh.positions.len() / SKETCHED {
-        clustering::sketched(&scan.mesh, vertices)
-    } else if vertices < Run::size(scan, config).vertices as usize {
+    let mesh = if vertices >= Run::size(scan, config).vertices as usize {
+        regularise::regularise(&scan.mesh, config, scan.source)
+    } else if vertices >= scan.mesh.positions.len() / SKETCHED {
         clustering::coarsened(&scan.mesh, vertices)
     } else {
-        regularise::regularise(&scan.mesh, config, scan.source)
+        clustering::sketched(&scan.mesh, vertices)
     };
     prepare_on(mesh, scan, run)
 }
