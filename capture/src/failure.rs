@@ -4,6 +4,10 @@ use estimator::EstimateError;
 use serde::{Deserialize, Serialize};
 use std::fmt::Display;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// A panic began where hardly any memory was left: libraries panic where they cannot allocate.
+pub static MEMORY_RAN_OUT: AtomicBool = AtomicBool::new(false);
 
 /// Why a command ended. Messages name the file concerned and the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -81,6 +85,11 @@ impl Failure {
     pub fn panic(payload: &(dyn std::any::Any + Send)) -> Self {
         let text = payload.downcast_ref::<String>().map(String::as_str);
         let text = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
+        if MEMORY_RAN_OUT.load(Ordering::Relaxed) {
+            return Self::Memory(format!(
+                "{text}, because memory ran out; raise the limit (--memory), or take it away"
+            ));
+        }
         Self::Internal(format!("internal error: {text}; please report this with the command and its input"))
     }
 

@@ -1,7 +1,11 @@
 //! Memory and processor time of this process: measured, planned and limited.
 
-use crate::failure::Failure;
+use crate::failure::{Failure, MEMORY_RAN_OUT};
 use firmware_config::{Config, memory_plan};
+use std::sync::atomic::Ordering;
+
+/// Memory is scarce where less than this fraction of the limit is left.
+const SCARCE: usize = 4;
 
 /// Peak resident memory of this process in bytes; `None` where the system does not report it.
 #[must_use]
@@ -39,10 +43,22 @@ pub fn limit(mb: Option<u32>) -> Result<(), Failure> {
     let _ = std::fs::write("/proc/self/oom_score_adj", "800");
     let Some(mb) = mb else { return Ok(()) };
     let bytes = Some(u64::from(mb) * 1_000_000);
+    tell_panics_for_memory(mb as usize * 1_000_000 / SCARCE);
     let old = rustix::process::getrlimit(rustix::process::Resource::Data);
     let new = rustix::process::Rlimit { current: bytes, maximum: old.maximum };
     rustix::process::setrlimit(rustix::process::Resource::Data, new)
         .map_err(|e| Failure::Usage(format!("--memory {mb}: {e}; the system has set a lower limit")))
+}
+
+/// Notes panics that begin where less than `scarce` bytes can be had.
+fn tell_panics_for_memory(scarce: usize) {
+    let tell = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if Vec::<u8>::new().try_reserve_exact(scarce).is_err() {
+            MEMORY_RAN_OUT.store(true, Ordering::Relaxed);
+        }
+        tell(panic);
+    }));
 }
 
 /// Upper bound of the capture process's memory with these settings, in bytes.
