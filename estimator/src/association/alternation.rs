@@ -10,6 +10,7 @@ use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, RefinedView};
 use crate::association::pose::PoseRefiner;
+use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
 use firmware_config::Switch;
 use rayon::prelude::*;
@@ -94,6 +95,7 @@ pub fn associate_within(
     Association {
         veils,
         veil_share: 0.0,
+        seen_lamps: seen_lamps(&images, &views, context.scene, context.clipped),
         lit_color: lit.color,
         lit_weight: lit.weight,
         views,

@@ -14,6 +14,8 @@ const NEAR_EDGES: f64 = 0.1;
 pub struct AssociationContext<'a> {
     /// The mesh.
     pub mesh: &'a Mesh,
+    /// The same for rays.
+    pub scene: &'a RayScene,
     /// Its adjacency.
     pub graph: Graph,
     /// Median edge length in the mesh's units.
@@ -37,11 +39,12 @@ pub struct AssociationContext<'a> {
 impl<'a> AssociationContext<'a> {
     /// Precomputes the derived values.
     #[must_use]
-    pub fn new(mesh: &'a Mesh, scene: &RayScene, response: &Response, config: &'a EstimatorConfig) -> Self {
+    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, response: &Response, config: &'a EstimatorConfig) -> Self {
         let median_edge = scene.median_edge();
         let graph = Graph::of(mesh);
         Self {
             mesh,
+            scene,
             median_edge,
             spacing: vertex_spacing(mesh, &graph, median_edge),
             graph,

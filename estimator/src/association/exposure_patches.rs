@@ -12,6 +12,8 @@ use recordings::types::{Mesh, Pose};
 
 /// Observations of less weight are not used.
 const MIN_WEIGHT: f32 = 1e-3;
+/// A value this many times as large as its veil may be tells of the exposure as if there were none.
+const OUTSHINES: f64 = 3.0;
 /// Rounds of the decomposition of a patch into vertex and keyframe terms; weights change after every second one.
 const PATCH_ROUNDS: usize = 6;
 
@@ -93,7 +95,7 @@ impl Patch {
             let k = usize::from(*k);
             // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
             let veil = problem.veils[k].as_ref().map_or(0.0, |v| v.over(cameras[k].transform(center.as_dvec3())));
-            let own = light / (light + problem.tuning.veil_share * veil);
+            let own = (light / (OUTSHINES * problem.tuning.veil_share * veil).max(1e-12)).min(1.0);
             w / (w + problem.tuning.half_weight) * own * own
         };
         let weights = weights.into_iter().zip(&keyframes).zip(lights).map(weight).collect();

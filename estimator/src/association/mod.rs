@@ -3,7 +3,7 @@
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`]; exposures, Eq. (5):
 //! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
-//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`veil`] is the
+//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
 
 pub mod alignment;
@@ -23,6 +23,7 @@ pub mod predicted_image;
 pub mod re_exposure;
 pub mod response;
 pub mod sampling;
+pub mod seen_lamps;
 pub mod veil;
 pub mod veil_removal;
 

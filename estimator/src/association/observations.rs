@@ -1,5 +1,6 @@
 //! The result of association: observations of the vertices by the keyframes, lit colours, exposures and poses.
 
+use crate::association::seen_lamps::SeenLamp;
 use crate::association::veil::Veil;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
@@ -49,6 +50,8 @@ pub struct Association {
     pub veils: Vec<Option<Veil>>,
     /// Share of the veil that the colours were freed of.
     pub veil_share: f64,
+    /// Lamps that the pictures show in the air.
+    pub seen_lamps: Vec<SeenLamp>,
     /// Exposure model and pose refinement, with their evidence.
     pub decisions: Vec<Decision>,
     /// Linear samples below this are not used for exposures.

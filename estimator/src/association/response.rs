@@ -136,6 +136,7 @@ mod tests {
         Association {
             veils: Vec::new(),
             veil_share: 0.0,
+            seen_lamps: Vec::new(),
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],
             views: gains.map(view).to_vec(),

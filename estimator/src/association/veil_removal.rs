@@ -111,6 +111,7 @@ mod tests {
             offsets: vec![0, 1],
             veils: vec![Some(veil)],
             veil_share: 0.0,
+            seen_lamps: Vec::new(),
             decisions: Vec::new(),
             dark_below: 0.0,
             exposure: firmware_config::tuning::ExposureTuning::default(),

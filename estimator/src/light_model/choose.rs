@@ -63,6 +63,8 @@ pub struct Scene<'a> {
     pub clipped: &'a [bool],
     /// What was not seen may radiate more than what is around it.
     pub unseen_radiates: bool,
+    /// Lamps that the pictures show: only how bright they are is asked.
+    pub seen_lamps: &'a [Sphere],
 }
 
 /// What takes the place of the distant answer.
@@ -210,7 +212,7 @@ impl<'a> Choice<'a> {
 
     /// Finds what may emit, and what surfaces radiate.
     fn observe(&mut self) {
-        let Scene { mesh, rays, colors, clipped, unseen_radiates } = *self.scene;
+        let Scene { mesh, rays, colors, clipped, unseen_radiates, .. } = *self.scene;
         let graph = Graph::of(mesh);
         let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
         self.radiance = secondary::filled(&graph, colors.lit_color, &seen);
@@ -271,7 +273,7 @@ impl<'a> Choice<'a> {
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
     }
 
-    /// Lets what was not seen radiate more than what is around it, then adds emitting pieces and lamps, all while held-out surface
+    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and further lamps, all while held-out surface
     /// asks for them; takes away pieces at last that it does not miss.
     fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
         let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
@@ -285,11 +287,19 @@ impl<'a> Choice<'a> {
                 best = next;
             }
         }
+        if !self.scene.seen_lamps.is_empty() {
+            let next = solved(&best.emitters, self.scene.seen_lamps);
+            // Their places are told already: they need not explain much to be there.
+            if mean(&next.blocks) < mean(&best.blocks) {
+                best = next;
+                note(&best);
+            }
+        }
         loop {
             let with = |p: usize| {
                 let mut emitters = best.emitters.clone();
                 emitters.push(p);
-                solved(&emitters, &[])
+                solved(&emitters, &best.lamps)
             };
             let others = (0..self.unseen).filter(|p| !best.emitters.contains(p));
             let next = others.map(with).min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));

@@ -6,7 +6,7 @@
 pub mod choose;
 pub mod covered;
 mod emitters;
-mod lamps;
+pub mod lamps;
 mod samples;
 mod search;
 mod secondary;

@@ -84,7 +84,8 @@ fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<
     };
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
     let clipped = vec![false; lit_color.len()];
-    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, clipped: &clipped, unseen_radiates: false };
+    let parts =
+        choose::Scene { mesh: &mesh, rays: &scene, colors, clipped: &clipped, unseen_radiates: false, seen_lamps: &[] };
     let chosen = choose::choose(&parts, &found, &tuning, &mut || true);
     (chosen.near, chosen.decision, segment)
 }

@@ -10,5 +10,5 @@ pub mod raster;
 pub mod regularise;
 pub mod repair;
 pub mod surface;
-mod unions;
+pub mod unions;
 pub mod vertex_weight;

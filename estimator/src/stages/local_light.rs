@@ -1,8 +1,10 @@
 //! Light that is not distant, where held-out surface asks for it.
 
+use crate::association::seen_lamps::SeenLamp;
 use crate::factorisation::{Colors, Factorised};
 use crate::light_model::choose::{self, Chosen};
 use crate::light_model::covered::covered;
+use crate::light_model::lamps::Sphere;
 use crate::stages::prepare::Prepared;
 use crate::stages::result::check_distance;
 use crate::stages::run::Run;
@@ -13,10 +15,12 @@ use recordings::local_light::{LightModel, LocalLight};
 /// counts as unseen, what was not seen may radiate, and the models are tried again. Changes nothing else.
 pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: &mut Run) -> LocalLight {
     let clipped = prepared.fields.always_clipped();
+    let sphere = |l: &SeenLamp| Sphere { center: l.center, radius: l.radius };
+    let seen_lamps: Vec<Sphere> = prepared.fields.seen_lamps.iter().map(sphere).collect();
     let choose = |lit_weight: &[f32], unseen_radiates: bool, run: &mut Run| {
         let colors = Colors { lit_weight, ..prepared.colors() };
         let (mesh, rays) = (&prepared.mesh, &prepared.scene);
-        let scene = choose::Scene { mesh, rays, colors, clipped: &clipped, unseen_radiates };
+        let scene = choose::Scene { mesh, rays, colors, clipped: &clipped, unseen_radiates, seen_lamps: &seen_lamps };
         let tuning = &run.config.tuning.factorisation;
         let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searched {
