@@ -14,7 +14,7 @@ use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
 use firmware_config::Switch;
 use rayon::prelude::*;
-use recordings::types::Keyframe;
+use recordings::types::{Keyframe, Pose};
 
 /// Limits on the time that association takes.
 pub struct AssociationEffort<'a> {
@@ -92,10 +92,11 @@ pub fn associate_within(
         let gain = views[o.keyframe as usize].gain;
         o.color = std::array::from_fn(|c| o.color[c] / gain[c] as f32);
     });
+    let poses: Vec<Pose> = views.iter().map(|v| v.world_from_camera).collect();
     Association {
         veils,
         veil_share: 0.0,
-        seen_lamps: seen_lamps(&images, &views, context.scene, context.clipped),
+        seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
         lit_color: lit.color,
         lit_weight: lit.weight,
         views,

@@ -4,7 +4,6 @@
 //! every other keyframe speaks for it or against it. What has a surface there is not a lamp in the air.
 
 use crate::association::keyframe_image::KeyframeImage;
-use crate::association::observations::RefinedView;
 use crate::mesh::unions::Unions;
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
@@ -23,6 +22,9 @@ const LEAST_ANGLE: f64 = 0.05;
 /// Rays pass the centre by this share of the radius at most, and radii agree up to this factor.
 const MOST_MISS: f64 = 0.6;
 const MOST_RATIO: f64 = 1.6;
+/// Rounds of reweighting, and the miss in radii from which on a ray counts less.
+const ROUNDS: usize = 4;
+const SMALL_MISS: f64 = 0.05;
 /// The air around a lamp is free of surface up to this many radii from its centre, as seen from the camera.
 const FREE_RADII: f64 = 1.5;
 /// Keyframes that show a lamp at least, and for each one that does not where it should.
@@ -57,12 +59,16 @@ impl Spot {
         (point - self.origin).dot(self.direction)
     }
 
+    /// Distance of the ray from a point.
+    fn miss(&self, point: DVec3) -> f64 {
+        (self.origin + self.direction * self.along(point)).distance(point)
+    }
+
     /// True if it shows a ball there.
     fn shows(&self, center: DVec3, radius: f64) -> bool {
         let along = self.along(center);
         let own = self.radius * along;
-        let miss = (self.origin + self.direction * along).distance(center);
-        along > 0.0 && miss < MOST_MISS * radius && own < MOST_RATIO * radius && radius < MOST_RATIO * own
+        along > 0.0 && self.miss(center) < MOST_MISS * radius && own < MOST_RATIO * radius && radius < MOST_RATIO * own
     }
 }
 
@@ -70,17 +76,17 @@ impl Spot {
 #[must_use]
 pub fn seen_lamps(
     images: &[Option<KeyframeImage>],
-    views: &[RefinedView],
+    world_from_camera: &[Pose],
     scene: &RayScene,
     clipped: u8,
 ) -> Vec<SeenLamp> {
     let mut spots: Vec<Spot> = Vec::new();
-    for (keyframe, (image, view)) in images.iter().zip(views).enumerate() {
+    for (keyframe, (image, pose)) in images.iter().zip(world_from_camera).enumerate() {
         let Some(image) = image else { continue };
-        spots.extend(spots_of(image, &view.world_from_camera, keyframe, clipped));
+        spots.extend(spots_of(image, pose, keyframe, clipped));
     }
     let cameras: Vec<(Pose, &KeyframeImage)> =
-        views.iter().zip(images).filter_map(|(v, i)| Some((v.world_from_camera, i.as_ref()?))).collect();
+        world_from_camera.iter().zip(images).filter_map(|(pose, i)| Some((*pose, i.as_ref()?))).collect();
     let mut found = Vec::new();
     while found.len() < MOST_LAMPS {
         let candidates = pairs(&spots);
@@ -92,7 +98,7 @@ pub fn seen_lamps(
         if keyframes(&best) < LEAST_VIEWS {
             break;
         }
-        let Some(center) = meeting_point(&best) else { break };
+        let Some(center) = robust_meeting_point(&best) else { break };
         let Some(radius) = median(best.iter().map(|s| s.radius * s.along(center))) else { break };
         let against = cameras.iter().filter(|(pose, image)| {
             is_free(scene, pose.translation, center, radius) && is_dark(image, pose, center, clipped)
@@ -119,7 +125,7 @@ fn pairs(spots: &[Spot]) -> Vec<(DVec3, f64)> {
             if a.keyframe == b.keyframe || a.direction.cross(b.direction).length() < LEAST_ANGLE {
                 continue;
             }
-            let Some(center) = meeting_point(&[*a, *b]) else { continue };
+            let Some(center) = meeting_point(&[*a, *b], |_| 1.0) else { continue };
             let radius = 0.5 * (a.radius * a.along(center) + b.radius * b.along(center));
             if a.shows(center, radius) && b.shows(center, radius) {
                 candidates.push((center, radius));
@@ -129,12 +135,25 @@ fn pairs(spots: &[Spot]) -> Vec<(DVec3, f64)> {
     candidates
 }
 
-/// The point with the least sum of squared distances from the rays; `None` if they are parallel.
-fn meeting_point(spots: &[Spot]) -> Option<DVec3> {
+/// Where the rays meet, those that pass by counting less: two lamps may be one spot in a picture.
+fn robust_meeting_point(spots: &[Spot]) -> Option<DVec3> {
+    let mut center = meeting_point(spots, |_| 1.0)?;
+    for _ in 0..ROUNDS {
+        let weight = |s: &Spot| {
+            let share = s.miss(center) / (SMALL_MISS * s.radius * s.along(center));
+            1.0 / (1.0 + share * share)
+        };
+        center = meeting_point(spots, weight)?;
+    }
+    Some(center)
+}
+
+/// The point with the least weighted sum of squared distances from the rays; `None` if they are parallel.
+fn meeting_point(spots: &[Spot], weight: impl Fn(&Spot) -> f64) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for s in spots {
         let d = s.direction;
-        let across = DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+        let across = (DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)) * weight(s);
         matrix += across;
         right += across * s.origin;
     }
@@ -239,7 +258,7 @@ mod tests {
     const RADIUS: f64 = 0.05;
 
     /// A picture of balls, from a camera that looks at the origin.
-    fn picture(origin: DVec3, balls: &[DVec3]) -> (KeyframeImage, RefinedView) {
+    fn picture(origin: DVec3, balls: &[DVec3]) -> (KeyframeImage, Pose) {
         let camera = Intrinsics { width: 320, height: 240, fx: 260.0, fy: 260.0, cx: 159.5, cy: 119.5 };
         let z = -origin.normalize();
         let x = DVec3::Z.cross(z).normalize() * -1.0;
@@ -254,20 +273,20 @@ mod tests {
             data.extend([if hits { 255 } else { 90 }; 3]);
         }
         let world_from_camera = Pose { rotation, translation: origin };
-        (KeyframeImage { camera, data }, RefinedView { world_from_camera, gain: [1.0; 3], residual_px: 0.0 })
+        (KeyframeImage { camera, data }, world_from_camera)
     }
 
     fn found(balls: impl Fn(usize) -> Vec<DVec3>, floor_z: f32) -> Vec<SeenLamp> {
         let places = (0..6).map(|i| DVec3::new(libm::cos(f64::from(i)), libm::sin(f64::from(i)), 0.6));
         let pictures = places.enumerate().map(|(i, p)| picture(p, &balls(i)));
-        let (images, views): (Vec<_>, Vec<_>) = pictures.map(|(image, view)| (Some(image), view)).unzip();
+        let (images, poses): (Vec<_>, Vec<_>) = pictures.map(|(image, pose)| (Some(image), pose)).unzip();
         let corner = |x: f32, y: f32| Vec3::new(3.0 * x, 3.0 * y, floor_z);
         let mesh = Mesh {
             positions: vec![corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)],
             normals: vec![Vec3::Z; 4],
             triangles: vec![[0, 1, 2], [0, 2, 3]],
         };
-        seen_lamps(&images, &views, &RayScene::new(&mesh), 250)
+        seen_lamps(&images, &poses, &RayScene::new(&mesh), 250)
     }
 
     #[test]
@@ -277,8 +296,8 @@ mod tests {
         assert_eq!(seen.len(), 2, "{seen:?}");
         for lamp in lamps {
             let near = |s: &SeenLamp| s.center.as_dvec3().distance(lamp) < 0.005;
-            let seen = seen.iter().find(|s| near(s)).expect("the lamp");
-            assert!((f64::from(seen.radius) / RADIUS - 1.0).abs() < 0.1, "{}", seen.radius);
+            let found = seen.iter().find(|s| near(s)).unwrap_or_else(|| panic!("{lamp}: {seen:?}"));
+            assert!((f64::from(found.radius) / RADIUS - 1.0).abs() < 0.1, "{}", found.radius);
         }
     }
 
