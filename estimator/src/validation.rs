@@ -257,7 +257,7 @@ impl<'a> Rendered<'a> {
 /// RMS distance, in pixels, between the projections of the vertices that both poses see.
 fn shift(context: &AssociationContext, k: &Intrinsics, one: &Pose, other: &Pose) -> f64 {
     let project = |p: DVec3| {
-        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let (u, v) = k.project(p);
         let inside = p.z > context.near && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
         inside.then(|| DVec2::new(u, v))
     };

@@ -1,6 +1,6 @@
 //! Camera mathematics: Brown–Conrady distortion there and back, and the response curve.
 
-use crate::types::{CameraModel, Distortion, Response};
+use crate::types::{CameraModel, Distortion, Intrinsics, Response};
 use glam::DVec3;
 
 /// Newton steps at most; three do for real lenses.
@@ -75,6 +75,14 @@ impl Distortion {
             [0.0; 2]
         };
         rise(r2) > 0.0 && extrema.iter().all(|&s| s <= 0.0 || s >= r2 || rise(s) > 0.0)
+    }
+}
+
+impl Intrinsics {
+    /// Pixel (u, v) of a point in the frame of a camera without distortion, whether in front of it and inside the picture or not.
+    #[must_use]
+    pub fn project(&self, point: DVec3) -> (f64, f64) {
+        (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
     }
 }
 
@@ -174,7 +182,6 @@ impl Response {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::types::Intrinsics;
     use proptest::prelude::*;
 
     fn fr1() -> CameraModel {

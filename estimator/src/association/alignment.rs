@@ -199,8 +199,8 @@ impl Problem<'_> {
         if q.z <= 0.0 {
             return None;
         }
-        let k = &self.target.camera;
-        let d = self.target.sample(k.fx * q.x / q.z + k.cx, k.fy * q.y / q.z + k.cy)? - pixel.color;
+        let (u, v) = self.target.camera.project(q);
+        let d = self.target.sample(u, v)? - pixel.color;
         (!d.is_nan()).then_some(d)
     }
 

@@ -61,6 +61,8 @@ struct Entry {
     vertex: usize,
     keyframe: usize,
     log: [f64; 3],
+    /// Mean of the channels, linear.
+    light: f64,
     weight: f64,
 }
 
@@ -83,7 +85,8 @@ impl Patch {
                 let log = o.color.map(|c| libm::log(f64::from(c)));
                 let keyframe = keyframes.partition_point(|&k| k < o.keyframe);
                 color += Vec3::from_array(log.map(|l| l as f32));
-                entries.push(Entry { vertex, keyframe, log, weight: f64::from(o.weight) });
+                let light = o.color.map(f64::from).iter().sum::<f64>() / 3.0;
+                entries.push(Entry { vertex, keyframe, log, light, weight: f64::from(o.weight) });
             }
         }
         let color = color / entries.len() as f32;
@@ -94,7 +97,8 @@ impl Patch {
         let weight = |((w, k), light): ((f64, &u16), f64)| {
             let k = usize::from(*k);
             // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
-            let veil = problem.veils[k].as_ref().map_or(0.0, |v| v.over(cameras[k].transform(center.as_dvec3())));
+            let over = |v: &Veil| f64::from(v.over(cameras[k].transform(center.as_dvec3())).element_sum()) / 3.0;
+            let veil = problem.veils[k].as_ref().map_or(0.0, over);
             let own = (light / (OUTSHINES * problem.tuning.veil_share * veil).max(1e-12)).min(1.0);
             w / (w + problem.tuning.half_weight) * own * own
         };
@@ -130,12 +134,12 @@ pub fn mean_square(d: &[f64; 3]) -> f64 {
     (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
 }
 
-/// Mean value over the entries of every keyframe, linear, mean of the channels.
+/// Mean light of the entries of every keyframe.
 fn brightness(entries: &[Entry], keyframes: usize) -> Vec<f64> {
     let mut sums = vec![(0.0, 1e-12); keyframes];
     for e in entries {
         let sum = &mut sums[e.keyframe];
-        sum.0 += e.weight * e.log.map(libm::exp).iter().sum::<f64>() / 3.0;
+        sum.0 += e.weight * e.light;
         sum.1 += e.weight;
     }
     sums.into_iter().map(|(sum, weight)| sum / weight).collect()

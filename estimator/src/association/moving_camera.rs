@@ -52,8 +52,7 @@ impl MovingCamera {
     /// The pixel (u, v) of a point in the camera's frame.
     #[must_use]
     pub fn pixel(&self, point: DVec3) -> (f64, f64) {
-        let k = &self.intrinsics;
-        (k.fx * point.x / point.z + k.cx, k.fy * point.y / point.z + k.cy)
+        self.intrinsics.project(point)
     }
 
     /// The vertices as [`MovingCamera::point`] has them, `[vertex]`.

@@ -47,7 +47,7 @@ pub fn observe(
         if !(p.z > context.near && p.is_finite()) {
             continue;
         }
-        let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+        let (u, v) = k.project(*p);
         if !(u > 0.0 && v > 0.0 && u < f64::from(k.width) && v < f64::from(k.height)) {
             continue;
         }

@@ -20,7 +20,7 @@ const LEAST_LEFT: f32 = 0.05;
 #[derive(Debug, Clone)]
 pub struct Veil {
     cells: Vec<Vec3>,
-    pub(super) camera: Intrinsics,
+    camera: Intrinsics,
 }
 
 impl Veil {
@@ -78,12 +78,11 @@ impl Veil {
         row(y).lerp(row(y + 1), fy)
     }
 
-    /// Mean of the channels of V at a point of the camera's frame; 0 behind the camera.
+    /// V over a point of the camera's frame.
     #[must_use]
-    pub fn over(&self, p: DVec3) -> f64 {
-        let k = &self.camera;
-        let veil = || self.at(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-        if p.z > 0.0 { f64::from(veil().element_sum()) / 3.0 } else { 0.0 }
+    pub fn over(&self, p: DVec3) -> Vec3 {
+        let (u, v) = self.camera.project(p);
+        self.at(u, v)
     }
 }
 

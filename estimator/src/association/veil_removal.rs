@@ -30,9 +30,8 @@ impl Association {
             let j = o.keyframe as usize;
             let Some(veil) = &self.veils[j] else { return Vec3::ZERO };
             let p = cameras[j].transform(mesh.positions[o.vertex as usize].as_dvec3());
-            let k = &veil.camera;
             let gain = self.views[j].gain.map(|g| g as f32);
-            veil.at(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy) / Vec3::from_array(gain)
+            veil.over(p) / Vec3::from_array(gain)
         };
         let of_observation: Vec<Vec3> = self.observations.par_iter().map(one).collect();
         let share = |(o, veil): (&Observation, &Vec3)| {
