@@ -14,6 +14,8 @@ use recordings::types::Pose;
 const COLUMNS: usize = 160;
 /// Spots of fewer cells are noise.
 const LEAST_CELLS: usize = 4;
+/// The largest spots of a picture, so many at most: a picture of specks is not to take all the time there is.
+const MOST_SPOTS: usize = 12;
 /// A spot fills this share of the box around it (a disc: 0.79), which is this much longer than wide at most.
 const LEAST_FILL: f64 = 0.6;
 const MOST_ASPECT: f64 = 1.6;
@@ -172,12 +174,12 @@ fn is_free(scene: &RayScene, origin: DVec3, center: DVec3, radius: f64) -> bool 
 fn is_dark(image: &KeyframeImage, world_from_camera: &Pose, center: DVec3, clipped: u8) -> bool {
     let p = world_from_camera.inverse().transform(center);
     let k = &image.camera;
-    let (u, v) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+    let (u, v) = k.project(p);
     let is_inside = p.z > 0.0 && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
     is_inside && image.bytes(u as usize, v as usize).iter().any(|b| *b < clipped)
 }
 
-/// The round clipped regions of a picture that its border does not cut.
+/// The largest of the round clipped regions of a picture that its border does not cut.
 fn spots_of(image: &KeyframeImage, world_from_camera: &Pose, keyframe: usize, clipped: u8) -> Vec<Spot> {
     let k = &image.camera;
     let step = (k.width as usize / COLUMNS).max(1);
@@ -206,7 +208,12 @@ fn spots_of(image: &KeyframeImage, world_from_camera: &Pose, keyframe: usize, cl
         let direction = (world_from_camera.transform(local) - world_from_camera.translation).normalize();
         Some(Spot { keyframe, origin: world_from_camera.translation, direction, radius })
     };
-    boxes.values().filter_map(spot).collect()
+    let mut spots: Vec<Spot> = boxes.values().filter_map(spot).collect();
+    if spots.len() > MOST_SPOTS {
+        spots.sort_by(|a, b| b.radius.total_cmp(&a.radius));
+        spots.truncate(MOST_SPOTS);
+    }
+    spots
 }
 
 /// A connected set of cells.

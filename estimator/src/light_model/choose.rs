@@ -273,8 +273,8 @@ impl<'a> Choice<'a> {
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
     }
 
-    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and further lamps, all while held-out surface
-    /// asks for them; takes away pieces at last that it does not miss.
+    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
+    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss.
     fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
         let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
         let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
