@@ -5,7 +5,6 @@
 //! three meshes, three budgets and four loads without arguments, 36 runs. Prints one row a run: when the result stood, when the process
 //! ended, its exit code, vertices and error of the albedo against the truth, and what was cut; then the number of runs that were late.
 
-use glam::{IVec3, Vec3};
 use recordings::import::photos::import_photos;
 use recordings::ply::write::write_ply;
 use recordings::result::Estimate;
@@ -16,6 +15,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use tests::matching::Vertices;
 use tests::metrics::{self, AlbedoError};
 use tests::truth::Truth;
 
@@ -23,8 +23,6 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 
 /// What a result may be late by, in seconds.
 const TOLERATED_S: f64 = 1.0;
-/// Smallest cosine between the normals of vertices that are compared.
-const AGREEING: f32 = 0.4;
 
 struct Arguments {
     scene: String,
@@ -170,17 +168,8 @@ fn albedo_error(truth: &Truth, found: &Estimate) -> AlbedoError {
         f64::from(a.distance(b))
     });
     let cell = 2.0 * metrics::median(&edges.collect::<Vec<_>>()) as f32;
-    let key = |p: Vec3| (p / cell).floor().as_ivec3();
-    let mut cells: HashMap<IVec3, Vec<usize>> = HashMap::new();
-    for (k, p) in mesh.positions.iter().enumerate() {
-        cells.entry(key(*p)).or_default().push(k);
-    }
-    let nearest = |i: usize| {
-        let (p, n) = (truth.mesh.positions[i], truth.mesh.normals[i]);
-        let around = (0..27).filter_map(|k| cells.get(&(key(p) + IVec3::new(k % 3, k / 3 % 3, k / 9) - 1))).flatten();
-        let agreeing = around.copied().filter(|&k| mesh.normals[k].dot(n) > AGREEING);
-        agreeing.min_by(|&a, &b| p.distance(mesh.positions[a]).total_cmp(&p.distance(mesh.positions[b])))
-    };
+    let vertices = Vertices::new(mesh, cell);
+    let nearest = |i: usize| vertices.nearest(truth.mesh.positions[i], truth.mesh.normals[i]);
     let seen = (0..truth.seen.len()).filter(|&i| truth.seen[i] >= 2);
     let pairs: Vec<(usize, usize)> = seen.filter_map(|i| Some((i, nearest(i)?))).collect();
     let albedo: Vec<[f64; 3]> = pairs.iter().map(|(_, k)| found.albedo[*k].to_array().map(f64::from)).collect();

@@ -14,6 +14,7 @@ pub mod corpus;
 pub mod digests;
 pub mod evaluation;
 pub mod lamp_desk;
+pub mod matching;
 pub mod metrics;
 pub mod scans;
 pub mod seams;

@@ -4,6 +4,7 @@
 use super::files::{pose, read_json, read_mask};
 use super::produce::{MOST_ALBEDO, RERENDER_RAYS, VIEW_NAMES, median_ratio, read_environment};
 use super::rerender::{Rerender, View, gain_for, psnr};
+use crate::matching::Vertices;
 use crate::metrics::{self, median, percentile};
 use crate::synth::emitters::{Portal, Sphere};
 use crate::synth::environment::luminance;
@@ -18,11 +19,9 @@ use std::path::Path;
 
 /// Keyframes that must see a vertex for it to count.
 const LEAST_VIEWS: f64 = 2.0;
-/// A vertex of another mesh matches within this many edges, and within this distance at least, metres; its normal within
-/// this cosine.
+/// A vertex of another mesh matches within this many edges, and within this distance at least, metres.
 const MATCH_EDGES: f32 = 1.5;
 const MATCH_M: f32 = 0.004;
-const MATCH_COSINE: f32 = 0.4;
 /// Irradiance below this share of the mean is not judged.
 const DARKEST: f32 = 0.02;
 /// Bands that a light is judged by: those that are not exported count as zero.
@@ -403,20 +402,11 @@ fn matched(mesh: &Mesh, of: &[usize], other: &Mesh) -> Vec<(usize, usize)> {
     }
     let limit = |i: usize| MATCH_M.max(MATCH_EDGES * edge[i]);
     let cell = of.iter().map(|&i| limit(i)).fold(MATCH_M, f32::max);
-    let key = |p: Vec3| (p / cell).floor().as_ivec3();
-    let mut cells: HashMap<glam::IVec3, Vec<usize>> = HashMap::new();
-    for (k, p) in other.positions.iter().enumerate() {
-        cells.entry(key(*p)).or_default().push(k);
-    }
+    let others = Vertices::new(other, cell);
     let nearest = |&i: &usize| {
-        let (p, n) = (mesh.positions[i], mesh.normals[i]);
-        let around = (0..27).map(|k| key(p) + glam::IVec3::new(k % 3, k / 3 % 3, k / 9) - 1);
-        let candidates = around.filter_map(|c| cells.get(&c)).flatten();
-        let agreeing = candidates.filter(|&&k| other.normals[k].dot(n) > MATCH_COSINE);
-        let best = agreeing.min_by(|&&a, &&b| {
-            p.distance_squared(other.positions[a]).total_cmp(&p.distance_squared(other.positions[b]))
-        })?;
-        (p.distance(other.positions[*best]) < limit(i)).then_some((i, *best))
+        let p = mesh.positions[i];
+        let best = others.nearest(p, mesh.normals[i])?;
+        (p.distance(other.positions[best]) < limit(i)).then_some((i, best))
     };
     of.iter().filter_map(nearest).collect()
 }
