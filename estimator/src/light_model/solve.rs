@@ -69,6 +69,19 @@ pub struct Solved {
     pub scale_deviation: [f64; 3],
 }
 
+impl Solved {
+    /// Relative error of every sample against lit colours, capped.
+    fn error(&self, samples: &Samples, n: usize) -> f64 {
+        relative_error(samples, n, &self.albedo[samples.segment[n] as usize], &self.irradiance[n])
+    }
+
+    /// Mean relative error over the blocks that were held out, block by block: (block, sum, weight).
+    #[must_use]
+    pub fn held_out(&self, samples: &Samples) -> Vec<(u32, f64, f64)> {
+        blocks(samples, |n| self.error(samples, n))
+    }
+}
+
 /// |f − a E| relative to f, but not below a share of the segment's median; mean over the channels, capped.
 #[must_use]
 pub fn relative_error(samples: &Samples, n: usize, albedo: &[f64; 3], irradiance: &[f64; 3]) -> f64 {
