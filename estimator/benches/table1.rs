@@ -85,6 +85,7 @@ fn main() {
         let colors = Colors {
             lit_color: &fields.lit_color,
             lit_weight: &fields.lit_weight,
+            clipped: &fields.clipped,
             segment: &segment,
             segments,
             known: None,

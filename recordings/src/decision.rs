@@ -260,6 +260,17 @@ pub enum Decision {
         /// The same with one albedo a material.
         held_out: f64,
     },
+    /// Whether a near model that explains more than distant light takes its place.
+    NearLight {
+        /// It does.
+        accepted: bool,
+        /// Mean relative error of distant light on the means of held-out patches.
+        distant: f64,
+        /// The same of the near model.
+        near: f64,
+        /// Share of the former that the latter may be.
+        most: f64,
+    },
 }
 
 /// What fixed the scale of the albedo.

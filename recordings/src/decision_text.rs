@@ -88,6 +88,7 @@ impl Decision {
             Self::Texture { .. } => "texture",
             Self::Veil { .. } => "veiling glare",
             Self::Materials { .. } => "materials",
+            Self::NearLight { .. } => "near light",
         }
     }
 
@@ -125,6 +126,7 @@ impl Decision {
             Self::Texture { atlas: None, .. } => "none".into(),
             Self::Veil { share, .. } => format!("{:.1} %", 100.0 * share),
             Self::Materials { materials, .. } => materials.to_string(),
+            Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
     }
 
@@ -244,6 +246,10 @@ impl Decision {
                     100.0 * most
                 )
             }
+            Self::NearLight { distant, near, most, .. } => format!(
+                "mean relative error on means of held-out patches: distant {distant:.4}, the best near model {near:.4}; at \
+                 most {most:.2} of the former is asked for, since gloss can look like a lamp"
+            ),
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -275,6 +281,7 @@ impl Decision {
             Self::Texture { atlas: None, .. } => String::new(),
             Self::Veil { held_out, .. } => format!("{} factorisations", held_out.len()),
             Self::Materials { .. } => "2 factorisations".into(),
+            Self::NearLight { .. } => "2 models compared".into(),
         }
     }
 
@@ -323,7 +330,7 @@ impl Decision {
                 "finer texels: a larger texture.max_side".into()
             }
             Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
-            Self::Veil { .. } | Self::Materials { .. } => String::new(),
+            Self::Veil { .. } | Self::Materials { .. } | Self::NearLight { .. } => String::new(),
         }
     }
 }
@@ -561,6 +568,16 @@ mod tests {
                 "end of the budget: without what follows gloss (texture, prediction of validation frames)",
                 "vertices: about 7000 instead of 10000 (for 600 MB of memory)",
             ]
+        );
+    }
+
+    #[test]
+    fn a_near_model_that_is_refused_says_why() {
+        let refused = Decision::NearLight { accepted: false, distant: 0.04, near: 0.03, most: 0.65 };
+        assert_eq!(
+            line(&refused),
+            "near light | refused | mean relative error on means of held-out patches: distant 0.0400, the best near model \
+             0.0300; at most 0.65 of the former is asked for, since gloss can look like a lamp | 2 models compared | "
         );
     }
 

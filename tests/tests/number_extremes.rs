@@ -22,6 +22,7 @@ struct Lit {
     transfer: Transfer,
     lit_color: Vec<Vec3>,
     lit_weight: Vec<f32>,
+    clipped: Vec<bool>,
     segment: Vec<u32>,
     segments: usize,
 }
@@ -40,7 +41,14 @@ impl Lit {
         };
         let lit_color = (0..mesh.positions.len()).map(lit).collect();
         let count = mesh.positions.len();
-        Self { transfer, lit_color, lit_weight: vec![1.0; count], segment, segments: albedo.len() }
+        Self {
+            transfer,
+            lit_color,
+            lit_weight: vec![1.0; count],
+            clipped: vec![false; count],
+            segment,
+            segments: albedo.len(),
+        }
     }
 
     fn solve(&self, bands: usize) -> Solution {
@@ -48,6 +56,7 @@ impl Lit {
             transfer: &self.transfer,
             lit_color: &self.lit_color,
             lit_weight: &self.lit_weight,
+            clipped: &self.clipped,
             segment: &self.segment,
             segments: self.segments,
         };

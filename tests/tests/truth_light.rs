@@ -107,7 +107,15 @@ fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factor
     let lit: Vec<Vec3> = truth.lit_color.iter().enumerate().map(noisy).collect();
     let weight: Vec<f32> = truth.seen.iter().map(|s| *s as f32).collect();
     let segments = truth.material.iter().max().map_or(0, |s| *s as usize + 1);
-    let colors = Colors { lit_color: &lit, lit_weight: &weight, segment: &truth.material, segments, known: None };
+    let clipped = vec![false; weight.len()];
+    let colors = Colors {
+        lit_color: &lit,
+        lit_weight: &weight,
+        clipped: &clipped,
+        segment: &truth.material,
+        segments,
+        known: None,
+    };
     let bands = if solver == SolverChoice::Literal { 5 } else { BANDS };
     let tuning = &FactorisationTuning::default();
     let options = FactorisationOptions { gi, bands, max_bands: bands, bounces: 0, solver, tuning };

@@ -8,7 +8,7 @@ use crate::association::exposure_patches::ExposureProblem;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
-use crate::association::observations::{Association, RefinedView};
+use crate::association::observations::{Association, RefinedView, always_clipped};
 use crate::association::pose::PoseRefiner;
 use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
@@ -99,6 +99,7 @@ pub fn associate_within(
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
         lit_color: lit.color,
         lit_weight: lit.weight,
+        clipped: always_clipped(&observations, &field.offsets),
         views,
         observations,
         offsets: field.offsets,

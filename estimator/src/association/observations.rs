@@ -40,6 +40,8 @@ pub struct Association {
     pub lit_color: Vec<Vec3>,
     /// Sum of the weights behind it, `[vertex]`; 0 for vertices that were never seen.
     pub lit_weight: Vec<f32>,
+    /// Seen, but clipped in every keyframe: the lit colour is a lower bound. `[vertex]`
+    pub clipped: Vec<bool>,
     /// `[keyframe]`.
     pub views: Vec<RefinedView>,
     /// Every observation, sorted by vertex, then keyframe.
@@ -60,11 +62,9 @@ pub struct Association {
     pub exposure: ExposureTuning,
 }
 
-impl Association {
-    /// Vertices that were seen, but clipped in every keyframe: their lit colour is a lower bound. `[vertex]`
-    #[must_use]
-    pub fn always_clipped(&self) -> Vec<bool> {
-        let rows = self.offsets.windows(2).map(|row| &self.observations[row[0] as usize..row[1] as usize]);
-        rows.map(|row| !row.is_empty() && row.iter().all(|o| o.clipped)).collect()
-    }
+/// Vertices with observations, all of which are clipped. Rows of `observations` start at `offsets`, `[vertex + 1]`.
+#[must_use]
+pub fn always_clipped(observations: &[Observation], offsets: &[u32]) -> Vec<bool> {
+    let rows = offsets.windows(2).map(|row| &observations[row[0] as usize..row[1] as usize]);
+    rows.map(|row| !row.is_empty() && row.iter().all(|o| o.clipped)).collect()
 }

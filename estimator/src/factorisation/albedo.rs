@@ -56,7 +56,9 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             let (f, e) = (colors.lit_color[i], irradiance[i]);
             let usable = colors.lit_weight[i] > 0.0 && f.is_finite() && f.min_element() > 0.0 && e.min_element() > 0.0;
             let a = segment_albedo.get(colors.segment[i] as usize)?;
-            usable.then(|| [0, 1, 2].map(|c| libm::log(f64::from(f[c] / e[c]) / a[c].max(1e-9))))
+            // A lower bound that the segment's albedo keeps says nothing.
+            let least = if colors.clipped[i] { 0.0 } else { f64::NEG_INFINITY };
+            usable.then(|| [0, 1, 2].map(|c| libm::log(f64::from(f[c] / e[c]) / a[c].max(1e-9)).max(least)))
         })
         .collect();
     let spreads = spreads(colors.segment, &logs, segment_albedo.len());
@@ -147,7 +149,15 @@ mod tests {
         let lit_color: Vec<Vec3> =
             (0..300).map(|i| Vec3::splat(0.4 * if i % 2 == 0 { 1.0 + off(i) } else { 1.0 - off(i) })).collect();
         let weight = vec![1.0; 300];
-        let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: 3, known: None };
+        let clipped = vec![false; segment.len()];
+        let colors = Colors {
+            lit_color: &lit_color,
+            lit_weight: &weight,
+            clipped: &clipped,
+            segment: &segment,
+            segments: 3,
+            known: None,
+        };
         let evidence = Evidence::new(&colors, &[Vec3::ONE; 300], &[0.0; 300]);
         let found = detail(&evidence, &[[0.4; 3]; 3], &FactorisationTuning::default());
         for (i, albedo) in found.albedo.iter().enumerate() {

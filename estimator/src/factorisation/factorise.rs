@@ -170,7 +170,15 @@ mod tests {
         let segment: Vec<u32> = (0..mesh.positions.len()).map(|i| u32::from(i % 80 == 7)).collect();
         let lit_color: Vec<Vec3> = segment.iter().map(|s| albedo[*s as usize] * Vec3::new(1.0, 0.9, 0.8)).collect();
         let weight = vec![1.0; segment.len()];
-        let colors = Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: 2, known: None };
+        let clipped = vec![false; segment.len()];
+        let colors = Colors {
+            lit_color: &lit_color,
+            lit_weight: &weight,
+            clipped: &clipped,
+            segment: &segment,
+            segments: 2,
+            known: None,
+        };
         let tuning = FactorisationTuning::default();
         let options = FactorisationOptions {
             gi: false,

@@ -38,6 +38,8 @@ pub struct Colors<'a> {
     pub lit_color: &'a [Vec3],
     /// Weight of the lit colour, 0 = never seen: `[vertex]`.
     pub lit_weight: &'a [f32],
+    /// The lit colour is a lower bound: `[vertex]`.
+    pub clipped: &'a [bool],
     /// Segment index: `[vertex]`.
     pub segment: &'a [u32],
     /// Number of segments.
@@ -50,8 +52,8 @@ impl<'a> Colors<'a> {
     /// The same under a transfer.
     #[must_use]
     pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {
-        let Self { lit_color, lit_weight, segment, segments, .. } = *self;
-        Observed { transfer, lit_color, lit_weight, segment, segments }
+        let Self { lit_color, lit_weight, clipped, segment, segments, .. } = *self;
+        Observed { transfer, lit_color, lit_weight, clipped, segment, segments }
     }
 }
 
@@ -64,6 +66,8 @@ pub struct Observed<'a> {
     pub lit_color: &'a [Vec3],
     /// Weight of the lit colour, 0 = never seen: `[vertex]`.
     pub lit_weight: &'a [f32],
+    /// The lit colour is a lower bound: `[vertex]`.
+    pub clipped: &'a [bool],
     /// Segment index: `[vertex]`.
     pub segment: &'a [u32],
     /// Number of segments.

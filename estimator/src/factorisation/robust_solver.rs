@@ -17,6 +17,8 @@ use rayon::prelude::*;
 const REWEIGHTINGS: usize = 3;
 /// Smallest size of a lit colour that errors are relative to, as a share of the channel's median.
 const MIN_SIZE: f64 = 1e-3;
+/// Weight of what is clipped: it tells nothing of light, but gives a segment that is clipped everywhere an albedo.
+const CLIPPED: f64 = 1e-6;
 
 /// Solves for light and segment albedos with at most the bands of the transfer. Continues `start`, if there is one, with its
 /// regularisation weight.
@@ -137,13 +139,16 @@ impl<'a> Channel<'a> {
     }
 
     /// Weights of squared residuals, `[sample]`: a lit colour has an error in proportion to itself, and one of undetected
-    /// gloss in proportion to its light. `albedo` is `[segment]`.
+    /// gloss in proportion to its light. What is clipped hardly counts: it is brighter
+    /// than it shows, by how much is not known, and gloss may be why. `albedo` is `[segment]`.
     fn weights(&self, predicted: &[f64], albedo: &[f64]) -> Vec<f64> {
         let gloss = self.gloss_variance(albedo);
         let weight = |(s, predicted): (&Sample, &f64)| {
-            let (size, vertex) = (self.size(s, *predicted), s.vertex as usize);
+            let vertex = s.vertex as usize;
             let vertex_weight = f64::from(self.observed.transfer.traced.vertex_weight[vertex]);
-            let seen = f64::from(self.observed.lit_weight[vertex]).min(1.0) * vertex_weight;
+            let known = if self.observed.clipped[vertex] { CLIPPED } else { 1.0 };
+            let seen = f64::from(self.observed.lit_weight[vertex]).min(1.0) * vertex_weight * known;
+            let size = self.size(s, *predicted);
             s.count * seen / (size * size * (1.0 + gloss[s.segment as usize]))
         };
         self.samples.iter().zip(predicted).map(weight).collect()
@@ -153,7 +158,9 @@ impl<'a> Channel<'a> {
     fn robust_weights(&self, predicted: &[f64], albedo: &[f64]) -> Vec<f64> {
         let residual = |(s, p): (&Sample, &f64)| ((self.color(s) - p) / self.size(s, *p)).abs();
         let residuals: Vec<f64> = self.samples.iter().zip(predicted).map(residual).collect();
-        let bound = self.tuning.huber * (robust_sigma(residuals.iter().copied()) + 1e-9);
+        let clipped = |s: &Sample| self.observed.clipped[s.vertex as usize];
+        let exact = self.samples.iter().zip(&residuals).filter(|(s, _)| !clipped(s)).map(|(_, r)| *r);
+        let bound = self.tuning.huber * (robust_sigma(exact) + 1e-9);
         let weights = self.weights(predicted, albedo).into_iter().zip(&residuals);
         weights.map(|(w, r)| w * (bound / r.max(bound))).collect()
     }
@@ -166,5 +173,64 @@ impl<'a> Channel<'a> {
         let brightest = brightest_large(albedo, &seen, self.tuning);
         let relative = |a: &f64| self.tuning.undetected_gloss * brightest / a.max(1e-6 * brightest);
         albedo.iter().map(|a| relative(a).powi(2).min(1e6)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::factorisation::directions;
+    use crate::transfer::{self, Transfer};
+    use glam::Vec3;
+    use recordings::types::Mesh;
+    use std::sync::Arc;
+
+    /// A ball of which three fifths of the vertices are white and clipped at twice what they show at the equator; the rest is
+    /// dark, but for a tenth that is clipped everywhere. Irradiance at its top over that at its bottom, of which the truth is
+    /// 9, and the albedo of what is clipped everywhere over that of the white. Colours are multiplied by `scale`.
+    fn clipped_ball(says_so: bool, scale: f32) -> (f64, f64) {
+        let normals: Vec<Vec3> = directions().iter().map(|d| d.as_vec3().normalize()).collect();
+        let (top, bottom) = (normals.len(), normals.len() + 1);
+        let normals: Vec<Vec3> = normals.into_iter().chain([Vec3::Z, Vec3::NEG_Z]).collect();
+        let mesh = Mesh { positions: normals.clone(), normals: normals.clone(), ..Mesh::default() };
+        let transfer = Transfer { traced: Arc::new(transfer::unoccluded(&mesh, 2)), bounced: None };
+        let segment_of = |i: usize| if i % 10 == 9 { 2 } else { u32::from(i % 5 < 3) };
+        let segment: Vec<u32> = (0..normals.len()).map(segment_of).collect();
+        let light = normals.iter().map(|n| 0.5 + 0.4 * n.z);
+        let most = 0.8 * 0.6;
+        let shown = |(s, e): (&u32, f32)| match s {
+            0 => (0.1 * e, false),
+            1 => ((0.8 * e).min(most), 0.8 * e > most),
+            _ => (most, true),
+        };
+        let (lit, clipped): (Vec<f32>, Vec<bool>) = segment.iter().zip(light).map(shown).unzip();
+        let lit_color: Vec<Vec3> = lit.into_iter().map(|f| Vec3::splat(scale * f)).collect();
+        let clipped: Vec<bool> = clipped.into_iter().map(|c| c && says_so).collect();
+        let observed = Observed {
+            transfer: &transfer,
+            lit_color: &lit_color,
+            lit_weight: &vec![1.0; normals.len()],
+            clipped: &clipped,
+            segment: &segment,
+            segments: 3,
+        };
+        let found = solve(&observed, 2, None, &FactorisationTuning::default());
+        let irradiance = transfer.irradiance(&found.light);
+        (f64::from(irradiance[top].y / irradiance[bottom].y), found.albedo[2][1] / found.albedo[1][1])
+    }
+
+    #[test]
+    fn what_is_clipped_does_not_pass_for_dim_light() {
+        let (told, untold) = (clipped_ball(true, 1.0).0, clipped_ball(false, 1.0).0);
+        assert!((8.0..10.0).contains(&told), "{told}");
+        assert!(9.0 - untold > 3.0 * (9.0 - told).abs(), "{untold}, {told}");
+    }
+
+    #[test]
+    fn what_is_clipped_everywhere_has_an_albedo_all_the_same() {
+        let of = |scale| clipped_ball(true, scale).1;
+        let (dim, bright) = (of(0.01), of(100.0));
+        assert!((0.6..6.0).contains(&dim), "colours from 0.53 to 4.8 times the light's, the white's are 0.8: {dim}");
+        assert!((bright / dim - 1.0).abs() < 1e-3, "{dim} and {bright}");
     }
 }

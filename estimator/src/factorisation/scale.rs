@@ -144,7 +144,8 @@ mod tests {
             let Self { lit_color, segment, solution, detail, irradiance } = self;
             let lit_weight = vec![1.0; segment.len()];
             let segments = solution.albedo.len();
-            let colors = Colors { lit_color, lit_weight: &lit_weight, segment, segments, known };
+            let clipped = vec![false; segment.len()];
+            let colors = Colors { lit_color, lit_weight: &lit_weight, clipped: &clipped, segment, segments, known };
             fix(Scaled { solution, detail, irradiance, deviation }, &colors, &FactorisationTuning::default())
         }
     }

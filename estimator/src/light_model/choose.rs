@@ -5,6 +5,7 @@ use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::scale::{self, Fixed, Scaled};
 use crate::factorisation::{Colors, Factorised, Solution};
 use crate::light_model::emitters::{self, Piece};
+use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, mean, segment_albedo};
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples::{self, Samples};
 use crate::light_model::search::Search;
@@ -12,7 +13,6 @@ use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
 use crate::mesh::graph::Graph;
-use crate::numerics::robust::weighted_median;
 use crate::rays::RayScene;
 use crate::transfer::Traced;
 use firmware_config::tuning::FactorisationTuning;
@@ -31,8 +31,9 @@ const REGULARISATION: f64 = 1e-2;
 const REGULARISATIONS: [f64; 3] = [1e-1, 1e-2, 1e-3];
 /// A weaker regularisation must lower the held-out error by this share.
 const WORTHWHILE: f64 = 0.01;
-/// A richer model must lower the held-out error by this share, and by more than one standard error.
-const LEAST_GAIN: f64 = 0.02;
+/// A near model must leave less than this share of what distant light leaves in the means of patches. Gloss, which depends on where
+/// the camera is, can be explained by lamps in part; lamps explain more.
+const NEAR_LEAVES: f64 = 0.65;
 /// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
 const UNQUESTIONED: f64 = 0.03;
 /// Nor is it where it leaves less than this share of what a smooth function of position and normal leaves.
@@ -59,8 +60,6 @@ pub struct Scene<'a> {
     pub rays: &'a RayScene,
     /// Lit colours and segments.
     pub colors: Colors<'a>,
-    /// Vertices that were seen, but clipped in every picture.
-    pub clipped: &'a [bool],
     /// What was not seen may radiate more than what is around it.
     pub unseen_radiates: bool,
     /// Lamps that the pictures show: only how bright they are is asked.
@@ -86,7 +85,7 @@ pub struct Chosen {
     /// What takes the place of the distant answer; `None` where that is kept.
     pub near: Option<Near>,
     /// The choice and its evidence.
-    pub decision: Decision,
+    pub decisions: Vec<Decision>,
     /// Richer models were tried.
     pub searched: bool,
 }
@@ -101,24 +100,33 @@ pub fn choose(
     may_search: &mut dyn FnMut() -> bool,
 ) -> Chosen {
     let mut choice = Choice::new(scene, &found.transfer.traced, tuning);
-    let at = |n: usize| found.irradiance[choice.samples.vertex[n] as usize].to_array().map(f64::from);
-    let distant = choice.errors(at);
+    let given = choice.samples.vertex.iter().map(|i| found.irradiance[*i as usize].to_array().map(f64::from));
+    let given: Vec<[f64; 3]> = given.collect();
+    let at = |n: usize| given[n];
+    let distant = held_out::errors(&choice.samples, at);
     let samples = choice.samples.len() as u32;
     let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
-    let mut near = None;
+    let (mut near, mut near_light) = (None, None);
     let smooth = Smooth::fit(scene.mesh, &choice.samples);
-    let flat = mean(&choice.errors(|_| [1.0; 3]));
-    let smoothed = mean(&choice.errors(|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize)));
+    let error = |irradiance: &dyn Fn(usize) -> [f64; 3]| mean(&held_out::errors(&choice.samples, irradiance));
+    let flat = error(&|_| [1.0; 3]);
+    let smoothed = error(&|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize));
     let unexplained = smoothed.min(flat);
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
     let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * unexplained) && distant.len() > 1;
     let searched = questioned && may_search();
     if searched {
         choice.observe();
-        let best = choice.grown(&mut ladder);
+        let best = choice.regularised(choice.grown(&mut ladder));
         // Where a smooth function replaces distant light, a model that explains more than both goes before it.
         let replaced = unexplained < mean(&distant) * (1.0 - LEAST_GAIN);
-        let is_near = is_better(&best.blocks, &distant) || replaced && mean(&best.blocks) < unexplained;
+        let mut is_near = replaced && mean(&best.blocks) < unexplained;
+        if !is_near && is_better(&best.blocks, &distant) {
+            let [of_distant, of_near] = [choice.patch_error(at), choice.patch_error(|n| best.solved.irradiance[n])];
+            is_near = of_near < NEAR_LEAVES * of_distant;
+            near_light =
+                Some(Decision::NearLight { accepted: is_near, distant: of_distant, near: of_near, most: NEAR_LEAVES });
+        }
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
         if unexplained < least * (1.0 - LEAST_GAIN) {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
@@ -128,23 +136,8 @@ pub fn choose(
         }
     }
     let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
-    Chosen { near, decision: Decision::LightModel { chosen, ladder, samples }, searched }
-}
-
-/// Held-out blocks: (block, sum of errors, weight).
-type Blocks = Vec<(u32, f64, f64)>;
-
-fn mean(blocks: &Blocks) -> f64 {
-    let (sum, weight) = blocks.iter().fold((0.0, 0.0), |(s, w), b| (s + b.1, w + b.2));
-    if weight > 0.0 { sum / weight } else { 0.0 }
-}
-
-/// The new model's held-out error is lower by more than one standard error and by more than [`LEAST_GAIN`].
-fn is_better(new: &Blocks, old: &Blocks) -> bool {
-    let total: f64 = old.iter().map(|b| b.2).sum();
-    let gain = mean(old) - mean(new);
-    let variance: f64 = new.iter().zip(old).map(|(n, o)| ((o.1 - n.1 - gain * o.2) / total).powi(2)).sum();
-    gain > libm::sqrt(variance) && gain > LEAST_GAIN * mean(old)
+    let decisions = near_light.into_iter().chain([Decision::LightModel { chosen, ladder, samples }]).collect();
+    Chosen { near, decisions, searched }
 }
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.
@@ -197,7 +190,7 @@ struct Choice<'a> {
 
 impl<'a> Choice<'a> {
     fn new(scene: &'a Scene<'a>, traced: &'a Traced, tuning: &'a FactorisationTuning) -> Self {
-        let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight, |i| !scene.clipped[i]);
+        let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight, |i| !scene.colors.clipped[i]);
         Self {
             scene,
             traced,
@@ -212,11 +205,11 @@ impl<'a> Choice<'a> {
 
     /// Finds what may emit, and what surfaces radiate.
     fn observe(&mut self) {
-        let Scene { mesh, rays, colors, clipped, unseen_radiates, .. } = *self.scene;
+        let Scene { mesh, rays, colors, unseen_radiates, .. } = *self.scene;
         let graph = Graph::of(mesh);
         let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
         self.radiance = secondary::filled(&graph, colors.lit_color, &seen);
-        self.pieces = emitters::candidates(mesh, &graph, clipped, &seen);
+        self.pieces = emitters::candidates(mesh, &graph, colors.clipped, &seen);
         self.unseen = self.pieces.len();
         if unseen_radiates {
             self.pieces.extend(emitters::unseen_patches(mesh, &seen));
@@ -225,14 +218,10 @@ impl<'a> Choice<'a> {
         self.piece_columns = self.pieces.iter().map(column).collect();
     }
 
-    /// Held-out errors of an irradiance that is given at every sample, each segment's albedo fitted to it.
-    fn errors(&self, irradiance: impl Fn(usize) -> [f64; 3]) -> Blocks {
-        let albedo = segment_albedo(&self.samples, &irradiance);
-        let error = |n: usize| {
-            let albedo = &albedo[self.samples.segment[n] as usize];
-            solve::relative_error(&self.samples, n, albedo, &irradiance(n))
-        };
-        solve::blocks(&self.samples, error)
+    /// Held-out error of the means of patches.
+    fn patch_error(&self, irradiance: impl Fn(usize) -> [f64; 3]) -> f64 {
+        let means = self.samples.patch_means(irradiance);
+        mean(&held_out::errors(&self.samples.patches(), |p| means[p]))
     }
 
     /// Radiance of all surfaces but those that emit.
@@ -269,8 +258,17 @@ impl<'a> Choice<'a> {
 
     fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
         let solved = solve::solve(&self.columns(self.bands(), emitters, lamps).rows(&self.samples), regularisation);
-        let blocks = solved.held_out(&self.samples);
+        let blocks = held_out::errors(&self.samples, |n| solved.irradiance[n]);
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
+    }
+
+    /// The model with the strongest regularisation that a weaker one does not beat.
+    fn regularised(&self, model: Model) -> Model {
+        let tried = REGULARISATIONS.map(|r| self.solved(&model.emitters, &model.lamps, r));
+        let kept = tried.into_iter().reduce(|best, next| {
+            if mean(&next.blocks) < mean(&best.blocks) * (1.0 - WORTHWHILE) { next } else { best }
+        });
+        kept.unwrap_or(model)
     }
 
     /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
@@ -364,7 +362,7 @@ impl<'a> Choice<'a> {
 
     /// The chosen model at every vertex, what was not seen radiating as the model says.
     fn finished(&mut self, model: Model, found: &Factorised) -> Near {
-        let Scene { mesh, rays, colors, clipped, .. } = *self.scene;
+        let Scene { mesh, rays, colors, .. } = *self.scene;
         let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
         let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
         let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l, LAMP_RAYS);
@@ -381,20 +379,16 @@ impl<'a> Choice<'a> {
             if fill == FILLS {
                 break;
             }
-            for i in 0..self.radiance.len() {
+            for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
                 let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
-                let reflected = Vec3::from_array(albedo) * irradiance[i];
+                let reflected = Vec3::from_array(albedo) * *irradiance;
                 if colors.lit_weight[i] <= 0.0 {
-                    self.radiance[i] = reflected;
-                } else if clipped[i] {
-                    self.radiance[i] = colors.lit_color[i].max(reflected);
+                    *radiance = reflected;
+                } else if colors.clipped[i] {
+                    *radiance = colors.lit_color[i].max(reflected);
                 }
             }
-            let tried = REGULARISATIONS.map(|r| self.solved(&model.emitters, &model.lamps, r));
-            let kept = tried.into_iter().reduce(|best, next| {
-                if mean(&next.blocks) < mean(&best.blocks) * (1.0 - WORTHWHILE) { next } else { best }
-            });
-            model = kept.unwrap_or(model);
+            model = self.regularised(model);
         }
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
@@ -491,17 +485,4 @@ impl<'a> Choice<'a> {
         let ratio = |c: usize| if had[c] > 0.0 { (wanted[c] / had[c]).max(MIN_REST) } else { 1.0 };
         DVec3::new(ratio(0), ratio(1), ratio(2))
     }
-}
-
-/// Weighted median of f / E over the fitted samples of each segment.
-fn segment_albedo(samples: &Samples, irradiance: &impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
-    let mut ratios: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); samples.segments];
-    for n in (0..samples.len()).filter(|n| samples.held_out[*n].is_none()) {
-        let e = irradiance(n);
-        for c in 0..3 {
-            let ratio = samples.color[n][c] / e[c].max(1e-30);
-            ratios[samples.segment[n] as usize][c].push((ratio, samples.weight[n]));
-        }
-    }
-    ratios.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
 }

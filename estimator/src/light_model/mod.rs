@@ -6,6 +6,7 @@
 pub mod choose;
 pub mod covered;
 mod emitters;
+mod held_out;
 pub mod lamps;
 mod samples;
 mod search;

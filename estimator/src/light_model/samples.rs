@@ -3,8 +3,9 @@
 use crate::factorisation::Colors;
 use crate::numerics::random::hash;
 use crate::numerics::robust::median;
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 use recordings::types::Mesh;
+use std::collections::BTreeMap;
 
 /// Vertices in all, shared out by segment size.
 const SAMPLES: usize = 5_000;
@@ -28,6 +29,8 @@ pub struct Samples {
     pub weight: Vec<f64>,
     /// Block of surface it is held out with, if it is.
     pub held_out: Vec<Option<u32>>,
+    /// Patch of surface it belongs to: what a block has of one segment and one direction of the normal.
+    pub patch: Vec<u32>,
     /// Lit colour f.
     pub color: Vec<[f64; 3]>,
     /// Number of segments.
@@ -51,6 +54,7 @@ impl Samples {
         let total: usize = of_segment.iter().map(Vec::len).sum();
         let block = Blocks::new(mesh);
         let mut samples = Self { segments: colors.segments, ..Self::default() };
+        let mut patches = BTreeMap::new();
         for (segment, vertices) in (0u32..).zip(&of_segment) {
             let quota = (SAMPLES * vertices.len() / total.max(1)).max(SEGMENT_SAMPLES);
             let stride = vertices.len().div_ceil(quota).max(1);
@@ -59,13 +63,53 @@ impl Samples {
                 samples.segment.push(segment);
                 let seen = f64::from(colors.lit_weight[i].min(1.0) * vertex_weight[i]);
                 samples.weight.push(stride as f64 * seen);
-                samples.held_out.push(block.held_out(mesh.positions[i]));
+                let (cell, normal) = (block.cell(mesh.positions[i]), mesh.normals[i]);
+                samples.held_out.push(Blocks::held_out(cell));
+                let axis = normal.abs().max_position();
+                let next = patches.len() as u32;
+                samples
+                    .patch
+                    .push(*patches.entry((segment, cell.to_array(), axis, normal[axis] < 0.0)).or_insert(next));
                 samples.color.push(colors.lit_color[i].to_array().map(f64::from));
             }
             let of = &samples.color[samples.color.len() - vertices.len().div_ceil(stride)..];
             samples.medians.push([0, 1, 2].map(|c| median(of.iter().map(|f| f[c])).unwrap_or(0.0)));
         }
         samples
+    }
+
+    /// Every patch as one sample: prints and noise average out, what a model of light misses does not.
+    #[must_use]
+    pub fn patches(&self) -> Self {
+        let mut first = BTreeMap::new();
+        for (n, p) in self.patch.iter().enumerate() {
+            first.entry(*p).or_insert(n);
+        }
+        let first: Vec<usize> = first.into_values().collect();
+        let mut weight = vec![0.0; first.len()];
+        self.patch.iter().zip(&self.weight).for_each(|(p, w)| weight[*p as usize] += w);
+        Self {
+            vertex: first.iter().map(|n| self.vertex[*n]).collect(),
+            segment: first.iter().map(|n| self.segment[*n]).collect(),
+            weight,
+            held_out: first.iter().map(|n| self.held_out[*n]).collect(),
+            patch: (0..first.len() as u32).collect(),
+            color: self.patch_means(|n| self.color[n]),
+            segments: self.segments,
+            medians: self.medians.clone(),
+        }
+    }
+
+    /// Means over every patch of what is given at every sample.
+    pub fn patch_means(&self, values: impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
+        let count = self.patch.iter().max().map_or(0, |p| *p as usize + 1);
+        let mut sums = vec![([0.0; 3], 0.0); count];
+        for (n, (p, weight)) in self.patch.iter().zip(&self.weight).enumerate() {
+            let (sum, total) = &mut sums[*p as usize];
+            sum.iter_mut().zip(values(n)).for_each(|(s, v)| *s += weight * v);
+            *total += weight;
+        }
+        sums.into_iter().map(|(sum, total)| sum.map(|s| s / total.max(f64::MIN_POSITIVE))).collect()
     }
 
     /// Samples.
@@ -87,8 +131,11 @@ impl Blocks {
         Self { origin: low, edge: (BLOCK * low.distance(high)).max(f32::MIN_POSITIVE) }
     }
 
-    fn held_out(&self, position: Vec3) -> Option<u32> {
-        let cell = ((position - self.origin) / self.edge).floor().as_ivec3();
+    fn cell(&self, position: Vec3) -> IVec3 {
+        ((position - self.origin) / self.edge).floor().as_ivec3()
+    }
+
+    fn held_out(cell: IVec3) -> Option<u32> {
         let block = hash(hash(cell.x as u32, cell.y as u32), cell.z as u32);
         block.is_multiple_of(FOLDS).then_some(block)
     }

@@ -33,8 +33,6 @@ const MAX_ALBEDO: f64 = 0.95;
 /// Light of one lamp or emitter where it is strongest, against the mean light: deviation of its prior. One that hardly any sample
 /// tells would be taken for any radiance.
 const BRIGHTEST: f64 = 100.0;
-/// Relative errors count up to this.
-const CAPPED: f64 = 1.0;
 
 /// Rows of (N5): `shared` is `[sample][columns]`, SH transfer first (`coefficients`), then lamps and emitters; `secondary`
 /// is G per channel.
@@ -67,41 +65,6 @@ pub struct Solved {
     pub irradiance: Vec<[f64; 3]>,
     /// Relative standard deviation of the scale by the secondary light, per channel; infinite without it.
     pub scale_deviation: [f64; 3],
-}
-
-impl Solved {
-    /// Relative error of every sample against lit colours, capped.
-    fn error(&self, samples: &Samples, n: usize) -> f64 {
-        relative_error(samples, n, &self.albedo[samples.segment[n] as usize], &self.irradiance[n])
-    }
-
-    /// Mean relative error over the blocks that were held out, block by block: (block, sum, weight).
-    #[must_use]
-    pub fn held_out(&self, samples: &Samples) -> Vec<(u32, f64, f64)> {
-        blocks(samples, |n| self.error(samples, n))
-    }
-}
-
-/// |f − a E| relative to f, but not below a share of the segment's median; mean over the channels, capped.
-#[must_use]
-pub fn relative_error(samples: &Samples, n: usize, albedo: &[f64; 3], irradiance: &[f64; 3]) -> f64 {
-    let (f, medians) = (samples.color[n], samples.medians[samples.segment[n] as usize]);
-    let size = (f.iter().sum::<f64>()).max(DARK_FLOOR * medians.iter().sum::<f64>()) / 3.0;
-    let off = (0..3).map(|c| (f[c] - albedo[c] * irradiance[c]).abs()).sum::<f64>() / 3.0;
-    (off / size.max(f64::MIN_POSITIVE)).min(CAPPED)
-}
-
-/// Sums an error over every block that is held out.
-pub fn blocks(samples: &Samples, error: impl Fn(usize) -> f64) -> Vec<(u32, f64, f64)> {
-    let mut sums = std::collections::BTreeMap::<u32, (f64, f64)>::new();
-    for n in 0..samples.len() {
-        if let Some(block) = samples.held_out[n] {
-            let sum = sums.entry(block).or_default();
-            sum.0 += samples.weight[n] * error(n);
-            sum.1 += samples.weight[n];
-        }
-    }
-    sums.into_iter().map(|(block, (sum, weight))| (block, sum, weight)).collect()
 }
 
 /// Solves every channel with this weight of the regularisation towards the mean radiance.
@@ -418,6 +381,7 @@ mod tests {
             segment: vec![0; count as usize],
             weight: vec![1.0; count as usize],
             held_out: vec![None; count as usize],
+            patch: vec![0; count as usize],
             color: (0..count).map(|n| [0.5 + 0.01 * f64::from(n % 3); 3]).collect(),
             segments: 1,
             medians: vec![[0.5; 3]],

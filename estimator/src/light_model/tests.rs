@@ -64,15 +64,22 @@ fn lit(traced: &Traced, segment: &[u32], direct: &[Vec3]) -> Vec<Vec3> {
     f
 }
 
-fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<Near>, Decision, Vec<u32>) {
+fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<Near>, Vec<Decision>, Vec<u32>) {
     let (mesh, segment) = desk();
     let scene = RayScene::new(&mesh);
     let traced = Arc::new(Tracer { mesh: &mesh, scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()));
     let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
     let lit_color = lit(&traced, &segment, &direct);
     let weight = vec![1.0; lit_color.len()];
-    let colors =
-        Colors { lit_color: &lit_color, lit_weight: &weight, segment: &segment, segments: ALBEDO.len(), known: None };
+    let clipped = vec![false; lit_color.len()];
+    let colors = Colors {
+        lit_color: &lit_color,
+        lit_weight: &weight,
+        clipped: &clipped,
+        segment: &segment,
+        segments: ALBEDO.len(),
+        known: None,
+    };
     let tuning = FactorisationTuning::default();
     let options = FactorisationOptions {
         gi: true,
@@ -83,11 +90,9 @@ fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<
         tuning: &tuning,
     };
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
-    let clipped = vec![false; lit_color.len()];
-    let parts =
-        choose::Scene { mesh: &mesh, rays: &scene, colors, clipped: &clipped, unseen_radiates: false, seen_lamps: &[] };
+    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates: false, seen_lamps: &[] };
     let chosen = choose::choose(&parts, &found, &tuning, &mut || true);
-    (chosen.near, chosen.decision, segment)
+    (chosen.near, chosen.decisions, segment)
 }
 
 #[test]

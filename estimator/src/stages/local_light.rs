@@ -14,13 +14,12 @@ use recordings::local_light::{LightModel, LocalLight};
 /// checked before. Where no model explains the colours, as in closed rooms that were seen in part, what another sheet covers
 /// counts as unseen, what was not seen may radiate, and the models are tried again. Changes nothing else.
 pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: &mut Run) -> LocalLight {
-    let clipped = prepared.fields.always_clipped();
     let sphere = |l: &SeenLamp| Sphere { center: l.center, radius: l.radius };
     let seen_lamps: Vec<Sphere> = prepared.fields.seen_lamps.iter().map(sphere).collect();
     let choose = |lit_weight: &[f32], unseen_radiates: bool, run: &mut Run| {
         let colors = Colors { lit_weight, ..prepared.colors() };
         let (mesh, rays) = (&prepared.mesh, &prepared.scene);
-        let scene = choose::Scene { mesh, rays, colors, clipped: &clipped, unseen_radiates, seen_lamps: &seen_lamps };
+        let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps };
         let tuning = &run.config.tuning.factorisation;
         let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searched {
@@ -40,7 +39,7 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
             prepared.fields.lit_weight = uncovered;
         }
     }
-    prepared.decisions.push(chosen.decision);
+    prepared.decisions.extend(chosen.decisions);
     let Some(near) = chosen.near else { return LocalLight::default() };
     check_distance(prepared, found, run.config);
     (found.solution, found.detail, found.irradiance) = (near.solution, near.detail, near.irradiance);

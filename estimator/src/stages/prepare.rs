@@ -44,6 +44,7 @@ impl Prepared {
         Colors {
             lit_color: &self.fields.lit_color,
             lit_weight: &self.fields.lit_weight,
+            clipped: &self.fields.clipped,
             segment: &self.segment,
             segments: self.segments,
             known: self.known.as_ref(),

@@ -19,7 +19,7 @@ const POLL: Duration = Duration::from_millis(50);
 const FEWEST_PICTURES: usize = 3;
 const FEWEST_SURFELS: usize = 500;
 /// The first estimates come sooner: not later than this share of the scan's time after the one before, and this time.
-const SOONER_SHARE: f64 = 0.05;
+const SOONER_SHARE: f64 = 0.03;
 const SOONER_S: f64 = 0.1;
 /// Vertices of the mesh that is handed over, in those of the estimate: the estimator makes an even mesh of it.
 const FINER: usize = 2;
