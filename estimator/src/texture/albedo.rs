@@ -19,6 +19,10 @@ const FOOTPRINT_VERTICES: usize = 4000;
 const MAX_RATIO: f32 = 8.0;
 /// Smallest share of a texel's radiance that is left when gloss is taken off.
 const MIN_MATTE: f32 = 0.05;
+/// Largest albedo that the picture holds: beyond it darker ones would be too coarse in 8 bits.
+const MAX_SCALE: f32 = 3.0;
+/// Share of the page whose texels may be cut at the largest value: specks of gloss do not make all else coarser.
+const CUT_SHARE: f64 = 1e-3;
 /// Rings of empty texels around the charts that take their mean colour, for coarse mipmaps and the blocks of JPEG.
 const FILL_RINGS: usize = 8;
 
@@ -53,8 +57,10 @@ pub fn texture(
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
-    let scale = colors.albedo.iter().map(|a| a.max_element()).fold(1.0f32, f32::max);
-    let (mut pixels, seen) = texels(context, &views, &atlas, colors, scale);
+    let (albedo, seen) = texels(context, &views, &atlas, colors);
+    let scale = scale(&albedo);
+    let mut pixels = encoded(&albedo, scale);
+    drop(albedo);
     fill(&mut pixels, &atlas);
     let Ok(jpeg) = encode_jpeg(atlas.width, atlas.height, &pixels, tuning.jpeg_quality as u8) else {
         return none(f64::from(footprint));
@@ -88,20 +94,19 @@ fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32>
     smallest.get((share * smallest.len() as f64) as usize).or(smallest.last()).copied()
 }
 
-/// Albedo of the texels over `scale` in sRGB bytes, `[row][column]`, and the number of texels that a keyframe shows.
+/// Albedo of the texels, `[row][column]`, black where there is no surface, and the number of texels that a keyframe shows.
 fn texels(
     context: &AssociationContext,
     views: &[TextureView],
     atlas: &Atlas,
     colors: VertexColors,
-    scale: f32,
-) -> (Vec<u8>, usize) {
+) -> (Vec<Vec3>, usize) {
     let (width, mesh) = (atlas.width as usize, context.mesh);
     let power = context.config.tuning.texture.weight_power as f32;
-    let mut pixels = vec![0u8; 3 * atlas.owner.len()];
-    let rows = pixels.par_chunks_mut(3 * width).zip(atlas.owner.par_chunks(width)).enumerate();
+    let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
+    let rows = texels.par_chunks_mut(width).zip(atlas.owner.par_chunks(width)).enumerate();
     let seen: Vec<usize> = rows
-        .map(|(y, (pixels, owners))| {
+        .map(|(y, (texels, owners))| {
             let (mut samples, mut seen): (Vec<ViewSample>, usize) = (Vec::new(), 0);
             for (x, &owner) in owners.iter().enumerate().filter(|(_, owner)| **owner != EMPTY) {
                 let corners = mesh.triangles[owner as usize];
@@ -122,13 +127,33 @@ fn texels(
                         albedo *= ratio((radiance - gloss).max(radiance * MIN_MATTE), matte);
                     }
                 }
-                let bytes = (albedo / scale).to_array().map(|a| Response::Srgb.encode(a));
-                pixels[3 * x..3 * x + 3].copy_from_slice(&bytes);
+                texels[x] = albedo;
             }
             seen
         })
         .collect();
-    (pixels, seen.into_iter().sum())
+    (texels, seen.into_iter().sum())
+}
+
+/// The albedo that 255 stands for: 1, or more where texels are brighter than that. Vertices of white paper have the mean of
+/// paper and print, or are held at 1: the paper between the print is above them.
+fn scale(texels: &[Vec3]) -> f32 {
+    let mut above: Vec<f32> = texels.iter().map(|a| a.max_element()).filter(|a| *a > 1.0).collect();
+    let cut = (CUT_SHARE * texels.len() as f64) as usize;
+    if above.len() <= cut {
+        return 1.0;
+    }
+    let (_, scale, _) = above.select_nth_unstable_by(cut, |a, b| b.total_cmp(a));
+    scale.min(MAX_SCALE)
+}
+
+/// Albedo over `scale` in sRGB bytes, `[row][column][channel]`.
+fn encoded(texels: &[Vec3], scale: f32) -> Vec<u8> {
+    let mut bytes = vec![0u8; 3 * texels.len()];
+    bytes.par_chunks_mut(3).zip(texels).for_each(|(bytes, albedo)| {
+        bytes.copy_from_slice(&(*albedo / scale).to_array().map(|a| Response::Srgb.encode(a)));
+    });
+    bytes
 }
 
 /// Weights of the nearest point of the triangle, roughly.
@@ -177,4 +202,25 @@ fn fill(pixels: &mut [u8], atlas: &Atlas) {
     }
     let mean = sum.map(|s| (s / count.max(1)) as u8);
     (0..known.len()).filter(|at| !known[*at]).for_each(|at| pixels[3 * at..3 * at + 3].copy_from_slice(&mean));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paper_brighter_than_its_vertices_is_not_cut_and_specks_are() {
+        let mut texels = vec![Vec3::splat(0.4); 10_000];
+        assert_eq!(scale(&texels), 1.0);
+        texels[..5].fill(Vec3::splat(2.5));
+        assert_eq!(scale(&texels), 1.0, "specks");
+        texels[..500].fill(Vec3::new(0.8, 1.5, 0.9));
+        let found = scale(&texels);
+        assert_eq!(found, 1.5);
+        let bytes = encoded(&texels, found);
+        let back = |byte: u8| Response::Srgb.linear_table()[byte as usize] * found;
+        assert!((back(bytes[1]) - 1.5).abs() < 1e-3 && (back(bytes[0]) - 0.8).abs() < 0.01);
+        texels[..500].fill(Vec3::splat(50.0));
+        assert_eq!(scale(&texels), MAX_SCALE);
+    }
 }

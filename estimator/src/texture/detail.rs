@@ -5,8 +5,9 @@ use recordings::result::Texture;
 use recordings::types::{Mesh, RgbImage};
 use std::borrow::Cow;
 
-/// Albedo below which the vertices say nothing of a ratio.
-const BLACK: f32 = 1e-4;
+/// Share of the albedo of the value 255 below which there is no ratio: 8 bits have a few steps there. Surfaces that emit have
+/// such albedos however bright they are.
+const BLACK: f32 = 3e-3;
 
 /// A texture, decoded, over its mesh.
 #[derive(Debug)]
@@ -70,7 +71,8 @@ impl<'a> Detail<'a> {
         let corners = self.mesh.triangles[triangle as usize];
         let smooth = corners.iter().zip(weights).map(|(&i, w)| self.albedo[i as usize] * w).sum::<Vec3>();
         let sharp = self.albedo(triangle, weights);
-        let one = |s: f32, v: f32| if v > BLACK { s / v } else { 1.0 };
+        let black = BLACK * self.texture.scale;
+        let one = |s: f32, v: f32| if v > black { s / v } else { 1.0 };
         Vec3::new(one(sharp.x, smooth.x), one(sharp.y, smooth.y), one(sharp.z, smooth.z))
     }
 }
