@@ -5,9 +5,8 @@
 
 mod common;
 
-use common::daemon::{Daemon, PATIENCE, manifest, recording, scans, unfinished};
+use common::daemon::{Daemon, PATIENCE, check_files, manifest, recording, scans, status_file, unfinished};
 use common::{arg, lumiscan, ok, preload, tiny_recording};
-use serde_json::Value;
 use std::collections::BTreeMap;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -170,8 +169,7 @@ impl Scanner {
 }
 
 fn state(device: &Path) -> Option<String> {
-    let status: Value = serde_json::from_slice(&std::fs::read(device.join("status.json")).ok()?).ok()?;
-    Some(status["state"].as_str()?.into())
+    Some(status_file(device)?["state"].as_str()?.into())
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -278,11 +276,7 @@ fn check(device: &Path, log: &[Vec<String>], what: &str) {
     assert!(left.is_empty(), "{what}: {left:?} are left");
     assert!(all.contains(&OLD[1].into()), "{what}: {all:?}");
     for name in all.iter().filter(|n| *n != OLD[0]) {
-        let folder = device.join("scans").join(name);
-        for file in manifest(device, name)["files"].as_array().unwrap() {
-            let bytes = std::fs::read(folder.join(file["name"].as_str().unwrap())).unwrap();
-            assert_eq!(file["crc32"], format!("{:08x}", crc32fast::hash(&bytes)), "{what}: {name}/{file}");
-        }
+        check_files(device, name, what);
     }
     let is = |line: &Vec<String>, kind: &str, name: &str| {
         line[0] == kind && line[1].contains("/.capture-") && line[1].ends_with(name)

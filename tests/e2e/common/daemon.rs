@@ -128,3 +128,17 @@ pub fn unfinished(device: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(device.join("scans")).into_iter().flatten().flatten();
     entries.map(|e| e.path()).filter(|p| p.file_name().unwrap().to_string_lossy().starts_with(".capture-")).collect()
 }
+
+/// Fails unless the files of a published scan are those that its manifest lists.
+pub fn check_files(device: &Path, scan: &str, what: &str) {
+    let folder = device.join("scans").join(scan);
+    for file in manifest(device, scan)["files"].as_array().unwrap() {
+        let bytes = std::fs::read(folder.join(file["name"].as_str().unwrap())).unwrap();
+        assert_eq!(file["crc32"], format!("{:08x}", crc32fast::hash(&bytes)), "{what}: {scan}/{file}");
+    }
+}
+
+/// The contents of `status.json`; `None` until it is there.
+pub fn status_file(device: &Path) -> Option<Value> {
+    serde_json::from_slice(&std::fs::read(device.join("status.json")).ok()?).ok()
+}

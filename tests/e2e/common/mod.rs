@@ -5,6 +5,8 @@
 
 pub mod daemon;
 pub mod http;
+#[cfg(target_os = "linux")]
+pub mod usage;
 
 use assert_cmd::Command;
 use estimator::rays::RayScene;
