@@ -89,6 +89,7 @@ impl Decision {
             Self::Veil { .. } => "veiling glare",
             Self::Materials { .. } => "materials",
             Self::NearLight { .. } => "near light",
+            Self::LightChroma { .. } => "colour of the light",
         }
     }
 
@@ -126,6 +127,8 @@ impl Decision {
             Self::Texture { atlas: None, .. } => "none".into(),
             Self::Veil { share, .. } => format!("{:.1} %", 100.0 * share),
             Self::Materials { materials, .. } => materials.to_string(),
+            Self::LightChroma { weight: 0.0, .. } => "each channel for itself".into(),
+            Self::LightChroma { weight, .. } => format!("drawn together by {weight}"),
             Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
     }
@@ -250,6 +253,13 @@ impl Decision {
                 "mean relative error on means of held-out patches: distant {distant:.4}, the best near model {near:.4}; at \
                  most {most:.2} of the former is asked for, since gloss can look like a lamp"
             ),
+            Self::LightChroma { held_out, .. } => {
+                let tried: Vec<String> = held_out.iter().map(|(weight, e)| format!("{weight}: {e:.4}")).collect();
+                format!(
+                    "RMS relative error on vertices left out, by the weight of a radiance that the channels have in common: {}",
+                    tried.join(", ")
+                )
+            }
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -282,6 +292,7 @@ impl Decision {
             Self::Veil { held_out, .. } => format!("{} factorisations", held_out.len()),
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } => "2 models compared".into(),
+            Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),
         }
     }
 
@@ -330,7 +341,9 @@ impl Decision {
                 "finer texels: a larger texture.max_side".into()
             }
             Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
-            Self::Veil { .. } | Self::Materials { .. } | Self::NearLight { .. } => String::new(),
+            Self::Veil { .. } | Self::Materials { .. } | Self::NearLight { .. } | Self::LightChroma { .. } => {
+                String::new()
+            }
         }
     }
 }
@@ -579,6 +592,17 @@ mod tests {
             "near light | refused | mean relative error on means of held-out patches: distant 0.0400, the best near model \
              0.0300; at most 0.65 of the former is asked for, since gloss can look like a lamp | 2 models compared | "
         );
+    }
+
+    #[test]
+    fn the_color_of_the_light_says_what_it_costs() {
+        let drawn = |weight| Decision::LightChroma { weight, held_out: vec![(0.1, 0.21), (0.0, 0.2)] };
+        assert_eq!(
+            line(&drawn(0.1)),
+            "colour of the light | drawn together by 0.1 | RMS relative error on vertices left out, by the weight of a radiance \
+             that the channels have in common: 0.1: 0.2100, 0: 0.2000 | 2 solutions of the light | "
+        );
+        assert!(line(&drawn(0.0)).contains("each channel for itself"));
     }
 
     #[test]

@@ -12,6 +12,8 @@ use rayon::prelude::*;
 const ALBEDO_TOLERANCE: f64 = 1e-4;
 /// Maximum number of sweeps of the non-negative solver in one turn; the next turn continues them.
 const SWEEPS: usize = 12;
+/// Calls of the non-negative solver for light alone.
+const LIGHT_TURNS: usize = 10;
 /// Regularisation weights tried, strongest first.
 const REGULARISATIONS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
 /// Columns that one task sums over the segments, and segments that one predicts at least.
@@ -19,6 +21,35 @@ const COLUMNS: usize = 16;
 const SEGMENTS: usize = 16;
 /// Weight before one is chosen.
 pub(super) const FIRST_REGULARISATION: f64 = REGULARISATIONS[2];
+
+/// The radiance that directions are drawn to, as far as surfaces do not tell theirs.
+#[derive(Debug, Clone)]
+pub(super) struct Prior {
+    /// Weight of the mean of (r − center)², in units of Σ w f².
+    weight: f64,
+    /// `[direction]`, mean 1.
+    center: DVector<f64>,
+}
+
+impl Prior {
+    /// Uniform radiance.
+    pub fn uniform(regularisation: f64) -> Self {
+        Self { weight: regularisation, center: DVector::from_element(DIRECTIONS, 1.0) }
+    }
+
+    /// Uniform radiance with the weight `regularisation`, and `grey`, which the channels have in common, with the weight `chroma`.
+    pub fn grey(regularisation: f64, chroma: f64, grey: &DVector<f64>) -> Self {
+        let weight = regularisation + chroma;
+        let share = if weight > 0.0 { chroma / weight } else { 0.0 };
+        Self { weight, center: grey.map(|g| 1.0 + share * (g - 1.0)) }
+    }
+
+    /// `total` is Σ w f².
+    fn penalty(&self, total: f64, tuning: &FactorisationTuning) -> Penalty<'_> {
+        let strength = self.weight * total / DIRECTIONS as f64;
+        Penalty { strength, center: &self.center, min_observability: tuning.min_observability }
+    }
+}
 
 /// Radiance and albedos, for one channel.
 #[derive(Debug, Clone)]
@@ -40,7 +71,7 @@ impl Alternation {
         &mut self,
         statistics: &[Statistics],
         projection: &Projection,
-        regularisation: f64,
+        prior: &Prior,
         tuning: &FactorisationTuning,
     ) {
         let k = projection.coefficients();
@@ -50,9 +81,8 @@ impl Alternation {
         }
         for _ in 0..tuning.max_turns {
             let (gram, cross) = summed(statistics, &self.albedo, k);
-            // Eq. (10) for non-negative radiance, plus regularisation · total · mean of (r − 1)².
-            let strength = regularisation * total / DIRECTIONS as f64;
-            non_negative(&gram, &cross, projection, (strength, tuning.min_observability), &mut self.radiance);
+            // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
+            non_negative(&gram, &cross, projection, &prior.penalty(total, tuning), &mut self.radiance);
             let mean = self.radiance.mean();
             if mean <= 0.0 || !mean.is_finite() {
                 self.radiance.fill(1.0);
@@ -78,11 +108,27 @@ impl Alternation {
         }
     }
 
+    /// Light for the albedos as they are.
+    pub fn light_alone(
+        &mut self,
+        statistics: &[Statistics],
+        projection: &Projection,
+        prior: &Prior,
+        tuning: &FactorisationTuning,
+    ) {
+        let total: f64 = statistics.iter().map(|s| s.square).sum();
+        let (gram, cross) = summed(statistics, &self.albedo, projection.coefficients());
+        let penalty = prior.penalty(total, tuning);
+        for _ in 0..LIGHT_TURNS {
+            non_negative(&gram, &cross, projection, &penalty, &mut self.radiance);
+        }
+    }
+
     /// Runs with each regularisation weight and keeps the weakest that still lowers the held-out error. Returns the weight.
     pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
         let tried = REGULARISATIONS.par_iter().map(|&regularisation| {
             let mut trial = self.clone();
-            trial.run(&folds.fitted, projection, regularisation, tuning);
+            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
             (regularisation, trial.relative_square_error(&folds.held_out, projection), trial)
         });
         let mut best: Option<(f64, f64, Self)> = None;
@@ -129,14 +175,23 @@ fn summed(statistics: &[Statistics], albedo: &[f64], k: usize) -> (DMatrix<f64>,
     (gram, cross)
 }
 
-/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r + ½ Σ_d s_d (r_d − 1)²` over r ≥ 0 by coordinate descent from the given r. The gradient is
-/// kept as coefficients `[k]`. s_d is `strength`, and more for directions whose observability (the diagonal of Pᵀ G P) is
-/// below the share `min_observability` of the largest: directions that few vertices see would fit their errors.
+/// The penalty on radiance: ½ Σ_d s_d (r_d − c_d)². s_d is `strength`, and more for directions whose observability (the
+/// diagonal of Pᵀ G P) is below the share `min_observability` of the largest: directions that few vertices see would fit
+/// their errors.
+struct Penalty<'a> {
+    strength: f64,
+    /// c: `[direction]`.
+    center: &'a DVector<f64>,
+    min_observability: f64,
+}
+
+/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r` plus the penalty, over r ≥ 0, by coordinate descent from the given r. The gradient is
+/// kept as coefficients `[k]`.
 fn non_negative(
     gram: &DMatrix<f64>,
     cross: &DVector<f64>,
     projection: &Projection,
-    (strength, min_observability): (f64, f64),
+    &Penalty { strength, center, min_observability }: &Penalty,
     r: &mut DVector<f64>,
 ) {
     let (k, projection) = (projection.coefficients(), projection.matrix());
@@ -155,7 +210,7 @@ fn non_negative(
             if diagonal <= 0.0 {
                 continue;
             }
-            let slope = dot(column, gradient.as_slice()) + strength * (r[d] - 1.0);
+            let slope = dot(column, gradient.as_slice()) + strength * (r[d] - center[d]);
             let step = (r[d] - slope / diagonal).max(0.0) - r[d];
             if step != 0.0 {
                 r[d] += step;

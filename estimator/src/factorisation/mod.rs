@@ -5,6 +5,7 @@
 
 pub mod albedo;
 mod alternation;
+pub mod chroma;
 pub mod distance_check;
 mod factorise;
 pub mod held_out;

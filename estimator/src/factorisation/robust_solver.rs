@@ -1,7 +1,7 @@
 //! Default solver (Eqs. 9–12): non-negative radiance over a few hundred directions and one albedo per segment, found in turn
 //! with robust relative weights.
 
-use crate::factorisation::alternation::{Alternation, FIRST_REGULARISATION};
+use crate::factorisation::alternation::{Alternation, FIRST_REGULARISATION, Prior};
 use crate::factorisation::posterior::posterior;
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
@@ -31,18 +31,20 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>, tuning
         .into_par_iter()
         .map(|channel| Channel::new(observed, &samples, channel, tuning).solve(&projection, start))
         .collect();
-    let zip3 = |n: usize, get: &dyn Fn(&ChannelSolution, usize) -> f64| -> Vec<[f64; 3]> {
-        (0..n).map(|i| [0, 1, 2].map(|c| get(&channels[c], i))).collect()
-    };
     Solution {
-        light: zip3(k, &|c, i| c.light[i]),
-        standard_deviation: zip3(k, &|c, i| c.standard_deviation[i]),
-        radiance: zip3(DIRECTIONS, &|c, i| c.state.radiance[i]),
-        albedo: zip3(observed.segments, &|c, i| c.state.albedo[i]),
+        light: zip3(k, &|c, i| channels[c].light[i]),
+        standard_deviation: zip3(k, &|c, i| channels[c].standard_deviation[i]),
+        radiance: zip3(DIRECTIONS, &|c, i| channels[c].state.radiance[i]),
+        albedo: zip3(observed.segments, &|c, i| channels[c].state.albedo[i]),
         held_out: libm::sqrt(channels.iter().map(|c| c.held_out).sum::<f64>() / 3.0),
         regularisation: [0, 1, 2].map(|c| channels[c].regularisation),
         condition: channels.iter().map(|c| c.condition).fold(0.0, f64::max),
     }
+}
+
+/// Rows of one value a channel: `[row][channel]`; `value` gets channel and row.
+pub(super) fn zip3(rows: usize, value: &dyn Fn(usize, usize) -> f64) -> Vec<[f64; 3]> {
+    (0..rows).map(|i| [0, 1, 2].map(|c| value(c, i))).collect()
 }
 
 struct ChannelSolution {
@@ -55,7 +57,7 @@ struct ChannelSolution {
 }
 
 /// The problem of one channel.
-struct Channel<'a> {
+pub(super) struct Channel<'a> {
     observed: &'a Observed<'a>,
     samples: &'a [Sample],
     channel: usize,
@@ -67,7 +69,7 @@ struct Channel<'a> {
 }
 
 impl<'a> Channel<'a> {
-    fn new(observed: &'a Observed, samples: &'a [Sample], channel: usize, tuning: &'a FactorisationTuning) -> Self {
+    pub fn new(observed: &'a Observed, samples: &'a [Sample], channel: usize, tuning: &'a FactorisationTuning) -> Self {
         let color = |s: &Sample| f64::from(observed.lit_color[s.vertex as usize][channel]);
         let mut medians = vec![0.0; observed.segments];
         for group in samples.chunk_by(|a, b| a.segment == b.segment) {
@@ -81,20 +83,19 @@ impl<'a> Channel<'a> {
     }
 
     fn solve(&self, projection: &Projection, start: Option<&Solution>) -> ChannelSolution {
-        let (tuning, k) = (self.tuning, projection.coefficients());
+        let tuning = self.tuning;
         let mut state = start.map_or_else(|| self.uniform(), |s| self.state_of(s));
-        let mut regularisation = start.map_or(FIRST_REGULARISATION, |s| s.regularisation[self.channel]);
+        let mut regularisation = start.map_or(FIRST_REGULARISATION, |s| self.regularisation(s));
         let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
-        let accumulate = |weights: &[f64]| Folds::accumulate(self.observed, self.samples, weights, k, self.channel);
-        let mut folds = accumulate(&self.weights(&colors, &state.albedo));
+        let mut folds = self.folds(&self.weights(&colors, &state.albedo), projection);
         for _ in 1..REWEIGHTINGS {
-            state.run(&folds.fitted, projection, regularisation, tuning);
-            folds = accumulate(&self.robust_weights(&self.predict(&state, projection), &state.albedo));
+            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
+            folds = self.folds(&self.robust_weights(&self.predict(&state, projection), &state.albedo), projection);
         }
         if start.is_none() {
             regularisation = state.choose(&folds, projection, tuning);
         }
-        state.run(&folds.fitted, projection, regularisation, tuning);
+        state.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
         let held_out = state.relative_square_error(&folds.held_out, projection);
         let (condition, standard_deviation) = posterior(&folds, projection, &state, regularisation, tuning);
         let light = state.light(projection);
@@ -109,11 +110,22 @@ impl<'a> Channel<'a> {
         }
     }
 
-    fn state_of(&self, solution: &Solution) -> Alternation {
+    /// Light and albedos of a solution.
+    pub fn state_of(&self, solution: &Solution) -> Alternation {
         Alternation {
             radiance: DVector::from_iterator(DIRECTIONS, solution.radiance.iter().map(|r| r[self.channel])),
             albedo: solution.albedo.iter().map(|a| a[self.channel]).collect(),
         }
+    }
+
+    /// The regularisation weight of a solution.
+    pub fn regularisation(&self, solution: &Solution) -> f64 {
+        solution.regularisation[self.channel]
+    }
+
+    /// Statistics with these weights: `[sample]`.
+    pub fn folds(&self, weights: &[f64], projection: &Projection) -> Folds {
+        Folds::accumulate(self.observed, self.samples, weights, projection.coefficients(), self.channel)
     }
 
     fn color(&self, s: &Sample) -> f64 {
@@ -127,7 +139,7 @@ impl<'a> Channel<'a> {
     }
 
     /// a_u E_i of the samples: `[sample]`.
-    fn predict(&self, state: &Alternation, projection: &Projection) -> Vec<f64> {
+    pub fn predict(&self, state: &Alternation, projection: &Projection) -> Vec<f64> {
         let light = state.light(projection);
         let mut row = vec![0.0; light.len()];
         let predict = |s: &Sample| {
@@ -139,8 +151,8 @@ impl<'a> Channel<'a> {
     }
 
     /// Weights of squared residuals, `[sample]`: a lit colour has an error in proportion to itself, and one of undetected
-    /// gloss in proportion to its light. What is clipped hardly counts: it is brighter
-    /// than it shows, by how much is not known, and gloss may be why. `albedo` is `[segment]`.
+    /// gloss in proportion to its light. What is clipped hardly counts: it is brighter than it shows, by how much is not known,
+    /// and gloss may be why. `albedo` is `[segment]`.
     fn weights(&self, predicted: &[f64], albedo: &[f64]) -> Vec<f64> {
         let gloss = self.gloss_variance(albedo);
         let weight = |(s, predicted): (&Sample, &f64)| {
@@ -155,7 +167,7 @@ impl<'a> Channel<'a> {
     }
 
     /// The same times Huber's weight.
-    fn robust_weights(&self, predicted: &[f64], albedo: &[f64]) -> Vec<f64> {
+    pub fn robust_weights(&self, predicted: &[f64], albedo: &[f64]) -> Vec<f64> {
         let residual = |(s, p): (&Sample, &f64)| ((self.color(s) - p) / self.size(s, *p)).abs();
         let residuals: Vec<f64> = self.samples.iter().zip(predicted).map(residual).collect();
         let clipped = |s: &Sample| self.observed.clipped[s.vertex as usize];

@@ -122,7 +122,9 @@ pub fn choose(
         let replaced = unexplained < mean(&distant) * (1.0 - LEAST_GAIN);
         let mut is_near = replaced && mean(&best.blocks) < unexplained;
         if !is_near && is_better(&best.blocks, &distant) {
-            let [of_distant, of_near] = [choice.patch_error(at), choice.patch_error(|n| best.solved.irradiance[n])];
+            let patches = choice.samples.patches();
+            let of_distant = choice.patch_error(&patches, at);
+            let of_near = choice.patch_error(&patches, |n| best.solved.irradiance[n]);
             is_near = of_near < NEAR_LEAVES * of_distant;
             near_light =
                 Some(Decision::NearLight { accepted: is_near, distant: of_distant, near: of_near, most: NEAR_LEAVES });
@@ -190,7 +192,7 @@ struct Choice<'a> {
 
 impl<'a> Choice<'a> {
     fn new(scene: &'a Scene<'a>, traced: &'a Traced, tuning: &'a FactorisationTuning) -> Self {
-        let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight, |i| !scene.colors.clipped[i]);
+        let samples = Samples::new(scene.mesh, &scene.colors, &traced.vertex_weight);
         Self {
             scene,
             traced,
@@ -218,10 +220,10 @@ impl<'a> Choice<'a> {
         self.piece_columns = self.pieces.iter().map(column).collect();
     }
 
-    /// Held-out error of the means of patches.
-    fn patch_error(&self, irradiance: impl Fn(usize) -> [f64; 3]) -> f64 {
+    /// Held-out error of the means of patches, of an irradiance that is given at every sample.
+    fn patch_error(&self, patches: &Samples, irradiance: impl Fn(usize) -> [f64; 3]) -> f64 {
         let means = self.samples.patch_means(irradiance);
-        mean(&held_out::errors(&self.samples.patches(), |p| means[p]))
+        mean(&held_out::errors(patches, |p| means[p]))
     }
 
     /// Radiance of all surfaces but those that emit.

@@ -40,14 +40,14 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Samples every segment evenly. `usable` vertices were seen unclipped; `vertex_weight` is that of their geometry.
+    /// Samples what was seen unclipped of every segment evenly; `vertex_weight` is that of the vertices' geometry.
     #[must_use]
-    pub fn new(mesh: &Mesh, colors: &Colors, vertex_weight: &[f32], usable: impl Fn(usize) -> bool) -> Self {
+    pub fn new(mesh: &Mesh, colors: &Colors, vertex_weight: &[f32]) -> Self {
         let mut of_segment: Vec<Vec<usize>> = vec![Vec::new(); colors.segments];
         for i in 0..colors.lit_color.len() {
             let f = colors.lit_color[i];
             let seen = colors.lit_weight[i] > 0.0 && f.is_finite() && f.min_element() >= 0.0 && f.max_element() > 0.0;
-            if seen && usable(i) {
+            if seen && !colors.clipped[i] {
                 of_segment[colors.segment[i] as usize].push(i);
             }
         }

