@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::daemon::{Daemon, PATIENCE, manifest, recording, scans, unfinished};
+use common::daemon::{Daemon, PATIENCE, manifest, recording, scans, status_file, unfinished};
 use common::{arg, child_of, json, lumiscan, ok, run, text};
 use serde_json::Value;
 use std::process::{Command, Stdio};
@@ -39,7 +39,7 @@ fn scans_follow_orders_and_counters_are_right() {
         assert!(n("missing_packets") >= n("incomplete_frames") && n("incomplete_frames") > 0, "{stats}");
         assert_eq!(n("dropped_pairs"), 0, "a device on its own clock waits");
     }
-    let status: Value = serde_json::from_str(&std::fs::read_to_string(device.join("status.json")).unwrap()).unwrap();
+    let status = status_file(&device).unwrap();
     assert!(status["memory_peak_bytes"].as_u64().unwrap() < status["memory_plan_bytes"].as_u64().unwrap(), "{status}");
 }
 

@@ -5,6 +5,7 @@
 
 mod common;
 
+use common::daemon::{check_files, manifest};
 use common::{arg, json, ok, run, small_scan, text};
 use serde_json::Value;
 use std::os::unix::fs::PermissionsExt;
@@ -133,26 +134,23 @@ fn scans_go_and_results_come_back() {
     ok(&[&estimate[..], &["--preview", &preview, "--viewer", &viewer]].concat());
     let old = std::fs::read(pair.scan.join("result.lres")).unwrap();
     // A run that was killed left its work.
-    let left = pair.scan.with_file_name(format!(".replacement-{}", pair.scan.file_name().unwrap().to_str().unwrap()));
+    let (device, scan) = (pair.at("device"), pair.scan.file_name().unwrap().to_str().unwrap());
+    let left = pair.scan.with_file_name(format!(".replacement-{scan}"));
     std::fs::create_dir(&left).unwrap();
     std::fs::write(left.join("result.lres"), b"half").unwrap();
     pair.hands_off("1 results replaced");
     let new = std::fs::read(pair.scan.join("result.lres")).unwrap();
     assert!(new != old && new == std::fs::read(&result).unwrap());
     assert_eq!(std::fs::read(pair.scan.join("viewer.html")).unwrap(), std::fs::read(&viewer).unwrap());
-    let manifest: Value = serde_json::from_slice(&std::fs::read(pair.scan.join("manifest.json")).unwrap()).unwrap();
-    let listed = manifest["files"].as_array().unwrap();
-    assert_eq!(listed.len(), 5, "{manifest}");
-    for file in listed {
-        let bytes = std::fs::read(pair.scan.join(file["name"].as_str().unwrap())).unwrap();
-        assert_eq!(file["crc32"], format!("{:08x}", crc32fast::hash(&bytes)));
-    }
+    let manifest = manifest(&device, scan);
+    assert_eq!(manifest["files"].as_array().unwrap().len(), 5, "{manifest}");
+    check_files(&device, scan, "replaced");
     assert_eq!(manifest["estimator"]["outcome"], "done");
     assert_eq!(manifest["estimator"]["origin"]["scan"].as_str().unwrap().len(), 64);
     assert!(manifest["capture"]["keyframes"].is_u64(), "what is not the estimator's stays");
     assert_eq!(json(&["inspect", &arg(pair.scan.join("result.lres")), "--json"])["kind"], "result");
     pair.hands_off("0 scans handed off, 0 waiting, 0 results replaced");
-    assert_eq!(common::scans(&pair.at("device")).len(), 1, "no staging folder is left");
+    assert_eq!(common::scans(&device).len(), 1, "no staging folder is left");
 
     // A result of another scan, and one that is damaged, are not used.
     let mut other = new.clone();

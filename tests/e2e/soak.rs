@@ -165,8 +165,11 @@ impl Soak {
             print!("{} descriptors, {} threads", peak.descriptors, peak.threads);
             let settled = self.settled(process);
             if let ([first, .., last], true) = (&settled[..], settled.len() > 2) {
-                let a_scan = slope(&settled.iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect::<Vec<_>>());
-                print!("; memory {a_scan:+.1} KiB a scan, {:+.1} KiB an hour of device time", slope(&settled));
+                print!(
+                    "; memory {:+.1} KiB a scan, {:+.1} KiB an hour of device time",
+                    a_scan(&settled),
+                    slope(&settled)
+                );
                 print!(" ({} KiB at scan {WARM_UP}, {} at the last)", first.1, last.1);
             }
             println!();
@@ -198,9 +201,9 @@ impl Soak {
                     .push(format!("process {}: {first} {what} at the first estimate, {last} at the last", process + 1));
             }
         }
-        let settled: Vec<(f64, f64)> = self.settled(process).iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect();
-        if settled.len() > 2 && slope(&settled) > TOLERATED_KIB {
-            leaks.push(format!("process {}: {:.0} KiB a scan", process + 1, slope(&settled)));
+        let settled = self.settled(process);
+        if settled.len() > 2 && a_scan(&settled) > TOLERATED_KIB {
+            leaks.push(format!("process {}: {:.0} KiB a scan", process + 1, a_scan(&settled)));
         }
         leaks
     }
@@ -344,11 +347,21 @@ impl Process {
     }
 }
 
+/// Slope of memory in KiB a scan; `settled` as [`Soak::settled`] gives it.
+fn a_scan(settled: &[(f64, f64)]) -> f64 {
+    slope(&settled.iter().enumerate().map(|(i, p)| (i as f64, p.1)).collect::<Vec<_>>())
+}
+
+/// True if this is the name of scan number `number`.
+fn is_number(name: &str, number: usize) -> bool {
+    name.contains(&format!("-scan-{number:04}"))
+}
+
 /// Seconds of device time from the start of the streams to the last pair of scan number `number`, by the time stamps of its trajectory;
 /// none where it was lost.
 fn device_seconds(device: &Path, number: usize) -> f64 {
     let all = scans(device);
-    let scan = all.iter().find(|s| s.contains(&format!("-scan-{number:04}")));
+    let scan = all.iter().find(|s| is_number(s, number));
     let text = scan.and_then(|s| std::fs::read_to_string(device.join("scans").join(s).join("trajectory.txt")).ok());
     let stamp = |text: String| text.lines().last()?.split(' ').next()?.parse().ok();
     text.and_then(stamp).unwrap_or(0.0)
@@ -358,14 +371,14 @@ fn device_seconds(device: &Path, number: usize) -> f64 {
 fn places(device: &Path, number: usize) -> Vec<&'static str> {
     let named = |folder: &str| {
         let names = std::fs::read_dir(device.join(folder)).into_iter().flatten().flatten();
-        names.filter(|e| e.file_name().to_string_lossy().contains(&format!("-scan-{number:04}"))).count()
+        names.filter(|e| is_number(&e.file_name().to_string_lossy(), number)).count()
     };
     ["scans", "aside"].into_iter().flat_map(|folder| vec![folder; named(folder)]).collect()
 }
 
 /// What is wrong with scan number `number`: it is not where it should be. Fails if it is not whole.
 fn wrong(device: &Path, number: usize, fate: Fate) -> Option<String> {
-    for scan in scans(device).iter().filter(|s| s.contains(&format!("-scan-{number:04}"))) {
+    for scan in scans(device).iter().filter(|s| is_number(s, number)) {
         check_files(device, scan, &format!("{fate:?}"));
         ok(&["inspect", &arg(device.join("scans").join(scan).join("scan.lscan"))]);
     }

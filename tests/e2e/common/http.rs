@@ -1,5 +1,6 @@
 //! A small HTTP client, and the web page under test.
 
+use super::usage::Usage;
 use super::{arg, lumiscan};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -151,9 +152,7 @@ impl Served {
 
     /// Resident memory in bytes.
     pub fn memory(&self) -> u64 {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
-        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:")).unwrap_or("0 kB");
-        line.trim().trim_end_matches(" kB").parse::<u64>().unwrap_or(0) * 1024
+        Usage::of(self.child.id()).map_or(0, |u| u.resident_kib * 1024)
     }
 
     /// Sends a signal.

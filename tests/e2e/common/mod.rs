@@ -5,7 +5,6 @@
 
 pub mod daemon;
 pub mod http;
-#[cfg(target_os = "linux")]
 pub mod usage;
 
 use assert_cmd::Command;
