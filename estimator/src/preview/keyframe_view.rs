@@ -1,23 +1,15 @@
 //! The mesh seen from a keyframe, coloured by anything that vertices have.
 
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
-use crate::numerics::rotation::{product, rotate};
-use crate::numerics::sh;
-use crate::rays::RayScene;
-use crate::render::lighting::local_sources::LocalSources;
+use crate::preview::vertex_light::VertexLight;
 use crate::texture::detail::Detail;
-use glam::{DVec3, Quat, Vec3};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use recordings::decision::TransferLevel;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::types::{Intrinsics, RgbImage};
 
 /// Samples along each side of a pixel.
 const SUPERSAMPLING: u32 = 2;
-/// Rays per vertex for the picture of albedo × light.
-const RAYS: usize = 128;
-/// Rays per vertex to each lamp.
-const SOURCE_RAYS: u32 = 16;
 /// Nearer than this share of the scene's depth nothing is drawn.
 const NEAR_SHARE: f64 = 1e-3;
 
@@ -28,13 +20,6 @@ pub struct KeyframeView<'a> {
     /// Supersampled.
     raster: Raster,
     corners: Vec<DVec3>,
-}
-
-/// What lights a vertex.
-struct Around {
-    scene: RayScene,
-    sources: LocalSources,
-    directions: Vec<Vec3>,
 }
 
 /// An RGB picture in linear or display values, row-major; `None` where nothing is seen.
@@ -94,6 +79,11 @@ impl<'a> KeyframeView<'a> {
         Panel { width: w, height: h, pixels: pixels.collect() }
     }
 
+    /// Name of the keyframe.
+    pub fn name(&self) -> &str {
+        &self.keyframe.name
+    }
+
     /// Share of the picture that the mesh covers.
     pub fn coverage(&self) -> f64 {
         let seen = self.raster.triangle.iter().filter(|t| **t != MISS).count();
@@ -108,65 +98,21 @@ impl<'a> KeyframeView<'a> {
         mesh.positions.iter().zip(&mesh.normals).map(facing).collect()
     }
 
-    /// Radiance towards the camera of every vertex in view by Eqs. (9) and (13): albedo × irradiance at the transfer
-    /// level of the result, plus gloss, lamps and emitting surfaces. Interreflected light is gathered from the lit colours.
-    /// Black out of view.
-    pub fn model(&self) -> Vec<Vec3> {
+    /// The vertices of every triangle in view: `[vertex]`.
+    pub fn seen(&self) -> Vec<bool> {
         let mut seen = vec![false; self.result.mesh.positions.len()];
         for t in self.raster.triangle.iter().filter(|t| **t != MISS) {
             self.result.mesh.triangles[*t as usize].iter().for_each(|c| seen[*c as usize] = true);
         }
-        let around = Around {
-            scene: RayScene::new(&self.result.mesh),
-            sources: LocalSources::new(&self.result.local_light, &self.result.mesh),
-            directions: cosine_directions(RAYS),
-        };
+        seen
+    }
+
+    /// Radiance towards the camera of every vertex in view by Eqs. (9) and (13): albedo × irradiance at the transfer
+    /// level of the result, plus gloss and emission. Black out of view.
+    pub fn model(&self, light: &VertexLight) -> Vec<Vec3> {
         let eye = self.keyframe.world_from_camera.translation.as_vec3();
-        let radiance = |i: usize| self.vertex_radiance(i, eye, &around);
-        (0..seen.len()).into_par_iter().map(|i| if seen[i] { radiance(i) } else { Vec3::ZERO }).collect()
-    }
-
-    fn vertex_radiance(&self, i: usize, eye: Vec3, around: &Around) -> Vec3 {
-        let (r, Around { scene, sources, directions }) = (self.result, around);
-        let (position, normal) = (r.mesh.positions[i], r.mesh.normals[i]);
-        let origin = scene.offset_origin(position, normal);
-        // A turn of its own for every vertex trades bands of error for grain.
-        let turn = Quat::from_rotation_z(i as f32 * 2.399_963);
-        let to_world = product(Quat::from_rotation_arc(Vec3::Z, normal), turn);
-        let mut irradiance = Vec3::ZERO;
-        for d in directions {
-            let d = rotate(to_world, *d);
-            let hit = if r.transfer == TransferLevel::Diffuse { None } else { scene.closest_hit(origin, d) };
-            irradiance += match hit {
-                None => self.light(d),
-                Some(hit) if r.transfer == TransferLevel::Gi => {
-                    // Emitting surfaces are aimed at below.
-                    let color =
-                        |k| if sources.emission(k) == Vec3::ZERO { r.lit_color[k as usize] } else { Vec3::ZERO };
-                    let [a, b, c] = r.mesh.triangles[hit.triangle as usize].map(color);
-                    a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
-                }
-                Some(_) => Vec3::ZERO,
-            };
-        }
-        let near = sources.irradiance_in(scene, (origin, normal), 0..SOURCE_RAYS, i as u32);
-        let diffuse = r.albedo[i] * (irradiance / directions.len() as f32 + near) + sources.emission(i as u32);
-        let Some(segment) = r.segments.get(r.segment[i] as usize) else { return diffuse };
-        let mut radiance = diffuse;
-        if segment.w_s > 0.0 {
-            let o = (eye - position).normalize_or_zero();
-            let mirrored = 2.0 * normal.dot(o) * normal - o;
-            if !scene.occluded(origin, mirrored) {
-                // Eq. (13)
-                radiance = diffuse * segment.w_d as f32 + self.light(mirrored) * segment.w_s as f32;
-            }
-        }
-        radiance
-    }
-
-    fn light(&self, direction: Vec3) -> Vec3 {
-        let l = sh::radiance(&self.result.light.coefficients, direction.as_dvec3());
-        Vec3::from_array(l.map(|c| c as f32)).max(Vec3::ZERO)
+        let radiance = |(i, seen): (usize, &bool)| if *seen { light.radiance(i, eye) } else { Vec3::ZERO };
+        self.seen().par_iter().enumerate().map(radiance).collect()
     }
 
     /// The keyframe's own picture, without the lens's distortion, at the panel's size.
@@ -210,19 +156,6 @@ fn bilinear(picture: &RgbImage, u: f64, v: f64) -> Option<[f32; 3]> {
     }))
 }
 
-/// Cosine-distributed directions about +Z: a sunflower on the disk, lifted.
-fn cosine_directions(n: usize) -> Vec<Vec3> {
-    const GOLDEN_ANGLE: f32 = 2.399_963;
-    (0..n)
-        .map(|i| {
-            let r2 = (i as f32 + 0.5) / n as f32;
-            let (sin, cos) = libm::sincosf(i as f32 * GOLDEN_ANGLE);
-            let r = r2.sqrt();
-            Vec3::new(r * cos, r * sin, (1.0 - r2).sqrt())
-        })
-        .collect()
-}
-
 /// A near plane that follows the size of the scene.
 fn near(corners: &[DVec3]) -> f64 {
     let farthest = corners.iter().map(|p| p.z).filter(|z| z.is_finite()).fold(0.0, f64::max);
@@ -245,20 +178,5 @@ mod tests {
         assert_eq!((covered(32, 20), covered(5, 20), covered(32, 45)), (1.0, 0.0, 0.0));
         let area: f32 = panel.pixels.iter().map(|p| p.1).sum();
         assert!((area - 195.0).abs() < 12.0, "{area}");
-    }
-
-    #[test]
-    fn model_is_albedo_times_irradiance() {
-        // Constant light of coefficient c is radiance 0.282095 c from everywhere; nothing blocks it.
-        let result = tiny();
-        let model = KeyframeView::new(&result, &result.keyframes[0], 64).model();
-        let expected = result.albedo[0] * Vec3::new(1.0, 2.0, 3.0) * 0.282_095;
-        assert!((model[0] - expected).length() < 1e-4, "{} {expected}", model[0]);
-    }
-
-    #[test]
-    fn cosine_directions_have_the_mean_of_a_cosine() {
-        let mean: Vec3 = cosine_directions(4096).iter().sum::<Vec3>() / 4096.0;
-        assert!((mean - Vec3::new(0.0, 0.0, 2.0 / 3.0)).length() < 1e-3, "{mean}");
     }
 }

@@ -8,3 +8,4 @@ mod keyframe_view;
 mod lamps;
 pub mod sheet;
 mod spheres;
+mod vertex_light;

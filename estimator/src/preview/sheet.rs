@@ -9,15 +9,18 @@ use crate::preview::font;
 use crate::preview::keyframe_view::{KeyframeView, Panel};
 use crate::preview::lamps;
 use crate::preview::spheres;
+use crate::preview::vertex_light::VertexLight;
 use crate::rays::RayScene;
 use crate::render::lighting::completion::complete;
+use crate::render::lighting::environment::Environment;
 use crate::render::lighting::observed_background::surroundings;
 use crate::texture::detail::Detail;
 use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
+use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::scan::Scan;
-use recordings::types::RgbImage;
+use recordings::types::{Keyframe, RgbImage};
 use std::fmt::Write;
 use tiny_skia::{PixmapPaint, Transform};
 
@@ -39,14 +42,21 @@ const THUMBNAIL: u32 = 48;
 /// # Errors
 /// There is no keyframe to look from, or its picture cannot be decoded.
 pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
-    let coverage = |k| KeyframeView::new(result, k, THUMBNAIL).coverage();
-    let best = result.keyframes.iter().map(|k| (coverage(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
-    let (_, keyframe) = best.ok_or("the result has no keyframe to look from")?;
+    let (_, keyframe) = widest(result, &result.keyframes).ok_or("the result has no keyframe to look from")?;
     let photo =
         scan.keyframes.iter().find(|k| k.name == keyframe.name).ok_or("the scan lacks the result's keyframe")?;
     let photo = photo.color.decode().map_err(|e| format!("keyframe {}: {e}", keyframe.name))?;
 
     let view = KeyframeView::new(result, keyframe, PANEL);
+    let frames: Vec<ResultKeyframe> = scan.witnesses.iter().map(as_given).collect();
+    let validation = widest(result, &frames).filter(|(coverage, _)| *coverage > 0.0);
+    let validation = validation.map(|(_, frame)| KeyframeView::new(result, frame, PANEL));
+    let mut seen = view.seen();
+    if let Some(other) = &validation {
+        seen.iter_mut().zip(other.seen()).for_each(|(seen, other)| *seen |= other);
+    }
+    let scene = RayScene::new(&result.mesh);
+    let light = VertexLight::new(result, &scene, &seen);
     let detail = detail(result)?;
     let gain = Vec3::from_array(keyframe.gain.map(|g| g as f32));
     let as_photographed = |v: Vec3| (v * gain).to_array().map(|c| f32::from(result.response.encode(c)) / 255.0);
@@ -60,7 +70,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let mut panels = vec![
         (format!("Keyframe {}", keyframe.name), view.photo(&photo)),
         ("Lit colours, re-rendered".into(), view.paint_with(detail.as_ref(), &result.lit_color, as_photographed)),
-        ("Albedo × light + gloss".into(), view.paint_with(detail.as_ref(), &view.model(), as_photographed)),
+        ("Albedo × light + gloss".into(), view.paint_with(detail.as_ref(), &view.model(&light), as_photographed)),
         (
             format!("Albedo × {albedo_scale:.2}, in the exposure of the lit colours"),
             view.paint_with(detail.as_ref(), &result.albedo, |v| display(v * albedo_scale)),
@@ -69,7 +79,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
     ];
     let lamps = lamps::seen(result);
-    let environment = surrounding_light(scan, result);
+    let environment = surrounding_light(scan, result, &scene);
     let size = (PANEL as usize, PANEL as usize / 2);
     let directions = (0..size.0 * size.1).map(|i| hdr::direction(i % size.0, i / size.0, size).as_vec3());
     let radiance: Vec<Vec3> = directions.map(|d| environment.radiance(d)).collect();
@@ -83,7 +93,9 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let around = (&environment, lamps.as_slice());
     let balls = spheres::panel(around, &keyframe.world_from_camera, (PANEL, height), |v| exposed.display(v));
     panels.push(("Grey, silver, mirror in this light".into(), balls));
-    panels.extend(validation_panels(scan, result, detail.as_ref())?);
+    if let Some(view) = &validation {
+        panels.extend(validation_panels(scan, result, view, detail.as_ref(), &light)?);
+    }
     compose(&panels, &facts(scan, result), height)
 }
 
@@ -92,26 +104,37 @@ fn detail(result: &Estimate) -> Result<Option<Detail<'_>>, String> {
     result.texture.as_ref().map(|t| Detail::new(t, &result.mesh, &result.albedo)).transpose()
 }
 
-/// The validation frame (used by no step) with the largest coverage, its rendering, and their difference; empty without one.
-fn validation_panels(scan: &Scan, result: &Estimate, detail: Option<&Detail>) -> Result<Vec<(String, Panel)>, String> {
-    let of = |w: &recordings::types::Keyframe| ResultKeyframe {
-        name: w.name.clone(),
+/// Of these frames the one in which the mesh covers most, with the share that it covers.
+fn widest<'a>(result: &Estimate, frames: &'a [ResultKeyframe]) -> Option<(f64, &'a ResultKeyframe)> {
+    let coverage = |k| (KeyframeView::new(result, k, THUMBNAIL).coverage(), k);
+    let covered: Vec<(f64, &ResultKeyframe)> = frames.par_iter().map(coverage).collect();
+    covered.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// A validation frame from the place that tracking gave it.
+fn as_given(frame: &Keyframe) -> ResultKeyframe {
+    ResultKeyframe {
+        name: frame.name.clone(),
         timestamp_ns: 0,
         gain: [1.0; 3],
-        world_from_camera: w.world_from_camera,
-        camera: w.camera,
+        world_from_camera: frame.world_from_camera,
+        camera: frame.camera,
         residual_px: 0.0,
-    };
-    let coverage = |w: &recordings::types::Keyframe| KeyframeView::new(result, &of(w), THUMBNAIL).coverage();
-    let best = scan.witnesses.iter().map(|w| (coverage(w), w)).max_by(|a, b| a.0.total_cmp(&b.0));
-    let Some((_, frame)) = best.filter(|(c, _)| *c > 0.0) else {
-        return Ok(Vec::new());
-    };
+    }
+}
+
+/// A validation frame (used by no step), its rendering, and their difference.
+fn validation_panels(
+    scan: &Scan,
+    result: &Estimate,
+    view: &KeyframeView,
+    detail: Option<&Detail>,
+    light: &VertexLight,
+) -> Result<Vec<(String, Panel)>, String> {
+    let Some(frame) = scan.witnesses.iter().find(|w| w.name == view.name()) else { return Ok(Vec::new()) };
     let picture = frame.color.decode().map_err(|e| format!("validation frame {}: {e}", frame.name))?;
-    let from = of(frame);
-    let view = KeyframeView::new(result, &from, PANEL);
     let photo = view.photo(&picture);
-    let mut rendering = view.paint_with(detail, &view.model(), |v| v.to_array());
+    let mut rendering = view.paint_with(detail, &view.model(light), |v| v.to_array());
     let table = result.response.linear_table();
     let gain = exposure(&photo, &rendering, &table);
     for (rgb, _) in &mut rendering.pixels {
@@ -141,11 +164,11 @@ fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
 }
 
 /// The recovered light with what the keyframes saw beyond the scan.
-fn surrounding_light(scan: &Scan, result: &Estimate) -> crate::render::lighting::environment::Environment {
+fn surrounding_light(scan: &Scan, result: &Estimate, scene: &RayScene) -> Environment {
     let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
     let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
     let tuning = SurroundingsTuning::default();
-    let observed = surroundings(result, &RayScene::new(&result.mesh), &pictures, &tuning);
+    let observed = surroundings(result, scene, &pictures, &tuning);
     complete(&result.light, &observed, &tuning)
 }
 
