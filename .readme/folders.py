@@ -7,7 +7,7 @@ import pathlib
 import re
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-CRATES = ["recordings", "firmware-config", "fusion", "estimator", "capture", "tests"]
+CRATES = ["recordings", "firmware-config", "isa", "fusion", "estimator", "capture", "tests"]
 
 
 def sentence(path):

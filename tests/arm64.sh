@@ -60,7 +60,7 @@ for recording in $recordings; do
 done
 [ "${1:-}" != --smoke ] || exit 0
 
-for crate in recordings firmware-config fusion estimator; do cargo test --release --locked --target $target -p $crate --lib; done
+for crate in recordings firmware-config isa fusion estimator; do cargo test --release --locked --target $target -p $crate --lib; done
 cargo test --release --locked --target $target -p capture --bins
 
 # These tests start the executable, and that starts itself: the kernel has to know qemu-user as the interpreter of aarch64.

@@ -54,7 +54,6 @@
 mod camera;
 mod error;
 mod frame;
-mod isa;
 mod keyframes;
 mod pipeline;
 mod report;

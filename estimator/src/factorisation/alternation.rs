@@ -5,14 +5,15 @@ use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
 use crate::numerics::dense::{self, add_scaled, dot};
 use firmware_config::tuning::FactorisationTuning;
+use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
 /// The turns have converged when no log albedo changes by more.
 const ALBEDO_TOLERANCE: f64 = 1e-4;
-/// Maximum number of sweeps of the non-negative solver in one turn; the next turn continues them.
+/// Maximum number of sweeps of one descent; the next one continues them.
 const SWEEPS: usize = 12;
-/// Calls of the non-negative solver for light alone.
+/// Descents for light alone.
 const LIGHT_TURNS: usize = 10;
 /// Regularisation weights tried, strongest first.
 const REGULARISATIONS: [f64; 5] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5];
@@ -74,15 +75,14 @@ impl Alternation {
         prior: &Prior,
         tuning: &FactorisationTuning,
     ) {
-        let k = projection.coefficients();
         let total: f64 = statistics.iter().map(|s| s.square).sum();
         if total <= 0.0 {
             return;
         }
         for _ in 0..tuning.max_turns {
-            let (gram, cross) = summed(statistics, &self.albedo, k);
             // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
-            non_negative(&gram, &cross, projection, &prior.penalty(total, tuning), &mut self.radiance);
+            let form = LightForm::new(statistics, &self.albedo, projection);
+            form.descend(&prior.penalty(total, tuning), &mut self.radiance);
             let mean = self.radiance.mean();
             if mean <= 0.0 || !mean.is_finite() {
                 self.radiance.fill(1.0);
@@ -108,19 +108,10 @@ impl Alternation {
         }
     }
 
-    /// Light for the albedos as they are.
-    pub fn light_alone(
-        &mut self,
-        statistics: &[Statistics],
-        projection: &Projection,
-        prior: &Prior,
-        tuning: &FactorisationTuning,
-    ) {
-        let total: f64 = statistics.iter().map(|s| s.square).sum();
-        let (gram, cross) = summed(statistics, &self.albedo, projection.coefficients());
-        let penalty = prior.penalty(total, tuning);
+    /// Light for the albedos as they are, of which `form` is made.
+    pub fn light_alone(&mut self, form: &LightForm, prior: &Prior, tuning: &FactorisationTuning) {
         for _ in 0..LIGHT_TURNS {
-            non_negative(&gram, &cross, projection, &penalty, &mut self.radiance);
+            form.descend(&prior.penalty(form.total, tuning), &mut self.radiance);
         }
     }
 
@@ -162,17 +153,39 @@ impl Alternation {
 fn summed(statistics: &[Statistics], albedo: &[f64], k: usize) -> (DMatrix<f64>, DVector<f64>) {
     let (mut gram, mut cross) = (DMatrix::zeros(k, k), DVector::zeros(k));
     // Every task sums some columns over all segments, so that the order is that of the segments. All is symmetric.
-    gram.as_mut_slice().par_chunks_mut(k * COLUMNS).enumerate().for_each(|(task, sums)| {
+    let isa = Isa::detect();
+    gram.as_mut_slice()
+        .par_chunks_mut(k * COLUMNS)
+        .enumerate()
+        .for_each(|(task, sums)| dispatch(isa, SomeColumns { statistics, albedo, first: task * COLUMNS, k, sums }));
+    gram.fill_lower_triangle_with_upper_triangle();
+    statistics.iter().zip(albedo).for_each(|(s, a)| add_scaled(cross.as_mut_slice(), *a, s.cross.as_slice()));
+    (gram, cross)
+}
+
+/// Some columns of Σ a² G, down to the diagonal.
+struct SomeColumns<'a> {
+    statistics: &'a [Statistics],
+    albedo: &'a [f64],
+    /// The first column.
+    first: usize,
+    k: usize,
+    sums: &'a mut [f64],
+}
+
+impl Hot for SomeColumns<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { statistics, albedo, first, k, sums } = self;
         for (s, a) in statistics.iter().zip(albedo) {
-            let columns = s.gram.as_slice().chunks_exact(k).enumerate().skip(task * COLUMNS);
+            let columns = s.gram.as_slice().chunks_exact(k).enumerate().skip(first);
             for (sum, (j, g)) in sums.chunks_exact_mut(k).zip(columns) {
                 add_scaled(&mut sum[..=j], a * a, &g[..=j]);
             }
         }
-    });
-    gram.fill_lower_triangle_with_upper_triangle();
-    statistics.iter().zip(albedo).for_each(|(s, a)| add_scaled(cross.as_mut_slice(), *a, s.cross.as_slice()));
-    (gram, cross)
+    }
 }
 
 /// The penalty on radiance: ½ Σ_d s_d (r_d − c_d)². s_d is `strength`, and more for directions whose observability (the
@@ -185,42 +198,92 @@ struct Penalty<'a> {
     min_observability: f64,
 }
 
-/// `min ½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r` plus the penalty, over r ≥ 0, by coordinate descent from the given r. The gradient is
-/// kept as coefficients `[k]`.
-fn non_negative(
-    gram: &DMatrix<f64>,
-    cross: &DVector<f64>,
-    projection: &Projection,
-    &Penalty { strength, center, min_observability }: &Penalty,
-    r: &mut DVector<f64>,
-) {
-    let (k, projection) = (projection.coefficients(), projection.matrix());
-    let products = dense::product(gram, projection);
-    let columns = || projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
-    let observability: Vec<f64> = columns().map(|(column, product)| dot(column, product).max(0.0)).collect();
-    let least = min_observability * observability.iter().copied().fold(0.0, f64::max);
-    // (observability, strength) of every direction.
-    let held = observability.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
-    let held: Vec<(f64, f64)> = held.collect();
-    let mut gradient = dense::times(gram, &dense::times(projection, r)) - cross;
-    for _ in 0..SWEEPS {
-        let (mut moved, mut size) = (0.0, 0.0);
-        for (d, ((column, product), &(observability, strength))) in columns().zip(&held).enumerate() {
-            let diagonal = observability + strength;
-            if diagonal <= 0.0 {
-                continue;
+/// The quadratic form in the light that the albedos leave of Eq. (10), `½ rᵀ Pᵀ G P r − (Pᵀ g)ᵀ r`.
+pub(super) struct LightForm<'a> {
+    /// G: `[k][k]`.
+    gram: DMatrix<f64>,
+    /// g: `[k]`.
+    cross: DVector<f64>,
+    /// P.
+    projection: &'a Projection,
+    /// G P.
+    products: DMatrix<f64>,
+    /// The diagonal of Pᵀ G P: `[direction]`.
+    observability: Vec<f64>,
+    /// Σ w f².
+    total: f64,
+}
+
+impl<'a> LightForm<'a> {
+    /// `albedo` is `[segment]`.
+    pub fn new(statistics: &[Statistics], albedo: &[f64], projection: &'a Projection) -> Self {
+        let k = projection.coefficients();
+        let (gram, cross) = summed(statistics, albedo, k);
+        let products = dense::product(&gram, projection.matrix());
+        let columns = projection.matrix().as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
+        let observability = columns.map(|(column, product)| dot(column, product).max(0.0)).collect();
+        let total = statistics.iter().map(|s| s.square).sum();
+        Self { gram, cross, projection, products, observability, total }
+    }
+
+    /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r.
+    fn descend(&self, &Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) {
+        let least = min_observability * self.observability.iter().copied().fold(0.0, f64::max);
+        let held = |&o: &f64| (o, strength * (1.0 + least / o.max(1e-4 * least)));
+        let mut gradient = dense::times(&self.gram, &dense::times(self.projection.matrix(), r)) - &self.cross;
+        let descent = Descent {
+            columns: self.projection.matrix().as_slice(),
+            products: self.products.as_slice(),
+            held: &self.observability.iter().map(held).collect::<Vec<_>>(),
+            center: center.as_slice(),
+            gradient: gradient.as_mut_slice(),
+            r: r.as_mut_slice(),
+        };
+        dispatch(Isa::detect(), descent);
+    }
+}
+
+/// Sweeps over the directions, one after the other.
+struct Descent<'a> {
+    /// P and G P by columns: `[direction][k]`.
+    columns: &'a [f64],
+    products: &'a [f64],
+    /// Observability and strength: `[direction]`.
+    held: &'a [(f64, f64)],
+    center: &'a [f64],
+    /// The gradient as coefficients: `[k]`.
+    gradient: &'a mut [f64],
+    /// `[direction]`.
+    r: &'a mut [f64],
+}
+
+impl Hot for Descent<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { columns, products, held, center, gradient, r } = self;
+        let k = gradient.len();
+        for _ in 0..SWEEPS {
+            let (mut moved, mut size) = (0.0, 0.0);
+            let columns = columns.chunks_exact(k).zip(products.chunks_exact(k));
+            for (d, ((column, product), &(observability, strength))) in columns.zip(held).enumerate() {
+                let diagonal = observability + strength;
+                if diagonal <= 0.0 {
+                    continue;
+                }
+                let slope = dot(column, gradient) + strength * (r[d] - center[d]);
+                let step = (r[d] - slope / diagonal).max(0.0) - r[d];
+                if step != 0.0 {
+                    r[d] += step;
+                    add_scaled(gradient, step, product);
+                    moved += step * step;
+                }
+                size += r[d] * r[d];
             }
-            let slope = dot(column, gradient.as_slice()) + strength * (r[d] - center[d]);
-            let step = (r[d] - slope / diagonal).max(0.0) - r[d];
-            if step != 0.0 {
-                r[d] += step;
-                add_scaled(gradient.as_mut_slice(), step, product);
-                moved += step * step;
+            if moved <= 1e-10 * size {
+                break;
             }
-            size += r[d] * r[d];
-        }
-        if moved <= 1e-10 * size {
-            break;
         }
     }
 }

@@ -4,12 +4,12 @@
 //! come out green, pink and blue. Here the channels are drawn to the radiance that they have in common, as strongly as the colours of
 //! held-out surface allow. Albedos stay.
 
-use crate::factorisation::alternation::{Alternation, Prior};
+use crate::factorisation::alternation::{Alternation, LightForm, Prior};
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
-use crate::factorisation::robust_solver::{Channel, zip3};
-use crate::factorisation::solution::{DIRECTIONS, Solution};
-use crate::factorisation::statistics::{Folds, samples};
+use crate::factorisation::robust_solver::Channel;
+use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
+use crate::factorisation::statistics::{Statistics, samples};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::DVector;
 use rayon::prelude::*;
@@ -36,13 +36,13 @@ pub fn draw_together(observed: &Observed, solution: &mut Solution, tuning: &Fact
     let projection = Projection::new(solution.light.len());
     let fit = |c: usize| Fit::new(&Channel::new(observed, &samples, c, tuning), solution, &projection);
     let fits = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>()?;
-    if fits.iter().any(|f| f.folds.held_out.iter().all(|s| s.square <= 0.0)) {
+    if fits.iter().any(|f| f.held_out.iter().all(|s| s.square <= 0.0)) {
         return None;
     }
     let grey = fits.iter().map(|f| &f.state.radiance).sum::<DVector<f64>>() / 3.0;
     let trial = |weight: f64| {
-        let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&grey, weight, &projection, tuning)).collect();
-        let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.folds.held_out, &projection);
+        let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&grey, weight, tuning)).collect();
+        let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, &projection);
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
     let tried = WEIGHTS.map(trial);
@@ -56,17 +56,20 @@ pub fn draw_together(observed: &Observed, solution: &mut Solution, tuning: &Fact
 }
 
 /// One channel.
-struct Fit {
+struct Fit<'a> {
     /// Mean radiance 1.
     state: Alternation,
-    folds: Folds,
+    /// Of the samples that are fitted.
+    form: LightForm<'a>,
+    /// `[segment]`.
+    held_out: Vec<Statistics>,
     regularisation: f64,
     /// Mean radiance of the solution.
     level: f64,
 }
 
-impl Fit {
-    fn new(channel: &Channel, solution: &Solution, projection: &Projection) -> Option<Self> {
+impl<'a> Fit<'a> {
+    fn new(channel: &Channel, solution: &Solution, projection: &'a Projection) -> Option<Self> {
         let mut state = channel.state_of(solution);
         let level = state.radiance.mean();
         if !(level > 0.0 && level.is_finite()) {
@@ -76,19 +79,14 @@ impl Fit {
         state.albedo.iter_mut().for_each(|a| *a *= level);
         let folds =
             channel.folds(&channel.robust_weights(&channel.predict(&state, projection), &state.albedo), projection);
-        Some(Self { state, folds, regularisation: channel.regularisation(solution), level })
+        let form = LightForm::new(&folds.fitted, &state.albedo, projection);
+        Some(Self { state, form, held_out: folds.held_out, regularisation: channel.regularisation(solution), level })
     }
 
     /// The same albedos with a prior of this weight on the radiance `grey`.
-    fn towards(
-        &self,
-        grey: &DVector<f64>,
-        weight: f64,
-        projection: &Projection,
-        tuning: &FactorisationTuning,
-    ) -> Alternation {
+    fn towards(&self, grey: &DVector<f64>, weight: f64, tuning: &FactorisationTuning) -> Alternation {
         let mut state = self.state.clone();
-        state.light_alone(&self.folds.fitted, projection, &Prior::grey(self.regularisation, weight, grey), tuning);
+        state.light_alone(&self.form, &Prior::grey(self.regularisation, weight, grey), tuning);
         state
     }
 }

@@ -6,7 +6,7 @@ use crate::factorisation::posterior::posterior;
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::scale::brightest_large;
-use crate::factorisation::solution::{DIRECTIONS, Solution};
+use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
 use crate::factorisation::statistics::{Folds, Sample, samples};
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::FactorisationTuning;
@@ -40,11 +40,6 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>, tuning
         regularisation: [0, 1, 2].map(|c| channels[c].regularisation),
         condition: channels.iter().map(|c| c.condition).fold(0.0, f64::max),
     }
-}
-
-/// Rows of one value a channel: `[row][channel]`; `value` gets channel and row.
-pub(super) fn zip3(rows: usize, value: &dyn Fn(usize, usize) -> f64) -> Vec<[f64; 3]> {
-    (0..rows).map(|i| [0, 1, 2].map(|c| value(c, i))).collect()
 }
 
 struct ChannelSolution {

@@ -39,3 +39,8 @@ impl Solution {
 pub fn directions() -> Vec<DVec3> {
     sh::even_directions(DIRECTIONS)
 }
+
+/// Rows of one value a channel: `[row][channel]`; `value` gets channel and row.
+pub(super) fn zip3(rows: usize, value: &dyn Fn(usize, usize) -> f64) -> Vec<[f64; 3]> {
+    (0..rows).map(|i| [0, 1, 2].map(|c| value(c, i))).collect()
+}

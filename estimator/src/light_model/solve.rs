@@ -9,6 +9,7 @@ use crate::factorisation::Projection;
 use crate::light_model::samples::{DARK_FLOOR, Samples};
 use crate::numerics::dense::{self, add_scaled, dot};
 use crate::numerics::robust::robust_sigma;
+use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -146,6 +147,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut row = vec![0.0; dim];
     let largest = |j: usize| fitted.iter().map(|n| f64::from(shared[n * columns + j])).fold(0.0, f64::max);
     let strongest: Vec<f64> = (coefficients..columns).map(largest).collect();
+    let isa = Isa::detect();
     for round in 0..ROUNDS {
         let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
         let size = |n: usize| (0.5 * (explained(n) + irradiance[n])).max(DARK_FLOOR);
@@ -158,7 +160,8 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             row[columns] = secondary[n];
             let huber = if round == 0 { 1.0 } else { HUBER * sigma / relative(n).max(HUBER * sigma) };
             let weight = samples.weight[n] * huber / (size(n) * size(n));
-            statistics.add(samples.segment[n] as usize, weight, color[n], &row);
+            let (segment, color) = (samples.segment[n] as usize, color[n]);
+            dispatch(isa, OneRow { statistics: &mut statistics, segment, weight, color, row: &row });
             let share = samples.weight[n] / (size(n) * total);
             mean.iter_mut().zip(&row).for_each(|(m, r)| *m += share * r);
         }
@@ -245,16 +248,6 @@ impl Statistics {
         }
     }
 
-    fn add(&mut self, segment: usize, weight: f64, color: f64, row: &[f64]) {
-        self.square[segment] += weight * color * color;
-        self.weight[segment] += weight;
-        add_scaled(self.cross[segment].as_mut_slice(), weight * color, row);
-        for (j, t) in row.iter().enumerate() {
-            let scaled = weight * t;
-            add_scaled(&mut self.gram.column_mut(j).as_mut_slice()[..=j], scaled, row);
-        }
-    }
-
     /// The form in the light alone.
     fn reduced(&self) -> DMatrix<f64> {
         let mut gram = self.gram.clone();
@@ -285,6 +278,31 @@ impl Statistics {
     }
 }
 
+/// One more sample in the statistics.
+struct OneRow<'a> {
+    statistics: &'a mut Statistics,
+    segment: usize,
+    weight: f64,
+    color: f64,
+    row: &'a [f64],
+}
+
+impl Hot for OneRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { statistics, segment, weight, color, row } = self;
+        statistics.square[segment] += weight * color * color;
+        statistics.weight[segment] += weight;
+        add_scaled(statistics.cross[segment].as_mut_slice(), weight * color, row);
+        let gram = statistics.gram.as_mut_slice().chunks_exact_mut(row.len());
+        for (j, (column, t)) in gram.zip(row).enumerate() {
+            add_scaled(&mut column[..=j], weight * t, &row[..=j]);
+        }
+    }
+}
+
 /// `min ½ zᵀ H z − gᵀ z` where the first entries of z are `projection · r` with r ≥ 0 and the `extras` others are ≥ 0.
 struct NonNegative<'a> {
     gram: DMatrix<f64>,
@@ -300,47 +318,80 @@ impl NonNegative<'_> {
         let k = self.projection.nrows();
         let dim = self.gram.nrows();
         let products = dense::product(&self.gram.columns(0, k).into_owned(), self.projection);
-        // Columns of the projection, the same times the form; none where the light has no coefficients.
-        let columns = || {
-            let projection = self.projection.as_slice().chunks_exact(k.max(1));
-            projection.zip(products.as_slice().chunks_exact(dim))
-        };
-        let observed: Vec<f64> = columns().map(|(column, product)| dot(column, &product[..k]).max(0.0)).collect();
+        let products = products.as_slice();
+        let (p, columns) = (self.projection.as_slice(), self.projection.ncols());
+        let of = |d: usize| dot(&p[d * k..][..k], &products[d * dim..][..k]).max(0.0);
+        // None where the light has no coefficients.
+        let observed: Vec<f64> = if k > 0 { (0..columns).map(of).collect() } else { Vec::new() };
         let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
         let mut z = start.clone();
         z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
         let mut gradient = dense::times(&self.gram, &z) - &self.cross;
         let strength = strength / observed.len().max(1) as f64;
-        // (observability, strength) of every direction.
         let held = observed.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
-        let held: Vec<(f64, f64)> = held.collect();
+        let descent = Descent {
+            form: self,
+            products,
+            held: &held.collect::<Vec<_>>(),
+            gradient: gradient.as_mut_slice(),
+            r,
+            z: z.as_mut_slice(),
+        };
+        dispatch(Isa::detect(), descent);
+        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
+        z
+    }
+}
+
+/// Coordinate descent.
+struct Descent<'a> {
+    form: &'a NonNegative<'a>,
+    /// The form times the projection: `[direction][dim]`.
+    products: &'a [f64],
+    /// Observability and strength of the prior: `[direction]`; empty where the light has no coefficients.
+    held: &'a [(f64, f64)],
+    gradient: &'a mut [f64],
+    r: &'a mut DVector<f64>,
+    z: &'a mut [f64],
+}
+
+impl Hot for Descent<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { form, products, held, gradient, r, z } = self;
+        let (k, dim, gram) = (form.projection.nrows(), gradient.len(), form.gram.as_slice());
         for _ in 0..SWEEPS {
             let (mut moved, mut size) = (0.0, 0.0);
             let mean = r.mean();
-            for (d, ((column, product), &(observed, strength))) in columns().zip(&held).enumerate() {
+            let r = r.as_mut_slice();
+            for (d, &(observed, strength)) in held.iter().enumerate() {
                 let diagonal = observed + strength;
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let slope = dot(column, &gradient.as_slice()[..k]) + strength * (r[d] - mean);
+                let column = &form.projection.as_slice()[d * k..][..k];
+                let slope = dot(column, &gradient[..k]) + strength * (r[d] - mean);
                 let step = (r[d] - slope / diagonal).max(0.0) - r[d];
                 if step != 0.0 {
                     r[d] += step;
-                    add_scaled(gradient.as_mut_slice(), step, product);
+                    add_scaled(gradient, step, &products[d * dim..][..dim]);
                     moved += step * step * observed;
                 }
                 size += r[d] * r[d] * observed;
             }
-            for j in dim - self.extras..dim {
-                let diagonal = self.gram[(j, j)];
+            for j in dim - form.extras..dim {
+                let column = &gram[j * dim..][..dim];
+                let diagonal = column[j];
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let most = if j + 1 == dim { self.last_at_most } else { f64::INFINITY };
+                let most = if j + 1 == dim { form.last_at_most } else { f64::INFINITY };
                 let step = (z[j] - gradient[j] / diagonal).clamp(0.0, most) - z[j];
                 if step != 0.0 {
                     z[j] += step;
-                    add_scaled(gradient.as_mut_slice(), step, self.gram.column(j).as_slice());
+                    add_scaled(gradient, step, column);
                     moved += step * step * diagonal;
                 }
                 size += z[j] * z[j] * diagonal;
@@ -349,8 +400,6 @@ impl NonNegative<'_> {
                 break;
             }
         }
-        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
-        z
     }
 }
 

@@ -1,6 +1,7 @@
-//! Products of small dense matrices: the sums of `nalgebra`, in its order and so with its bits, but in registers. `nalgebra` is
-//! fast only with kernels that depend on the CPU.
+//! Products of small dense matrices: the sums of `nalgebra`, in its order and so with its bits, but in registers, and compiled for
+//! several instruction sets. `nalgebra` is fast only with kernels whose bits depend on the CPU.
 
+use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
@@ -24,23 +25,49 @@ pub fn upper_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// The tiles of `a · b` that are `wanted` by their first row and column.
-fn tiles(a: &DMatrix<f64>, b: &DMatrix<f64>, wanted: impl Fn(usize, usize) -> bool + Sync) -> DMatrix<f64> {
+fn tiles(a: &DMatrix<f64>, b: &DMatrix<f64>, wanted: impl Fn(usize, usize) -> bool + Sync + Copy) -> DMatrix<f64> {
     let (rows, columns) = (a.nrows(), b.ncols());
     if rows < TILE || columns < TILE {
         return a * b;
     }
     let mut out = DMatrix::zeros(rows, columns);
     let width = columns.div_ceil((columns / TASK).max(1));
-    out.as_mut_slice().par_chunks_mut(rows * width).enumerate().for_each(|(task, out)| {
+    let isa = Isa::detect();
+    out.as_mut_slice()
+        .par_chunks_mut(rows * width)
+        .enumerate()
+        .for_each(|(task, out)| dispatch(isa, Tiles { a, b, first: task * width, out, wanted }));
+    out
+}
+
+/// The tiles of some columns.
+struct Tiles<'a, W> {
+    a: &'a DMatrix<f64>,
+    b: &'a DMatrix<f64>,
+    /// The first column.
+    first: usize,
+    out: &'a mut [f64],
+    wanted: W,
+}
+
+impl<W: Fn(usize, usize) -> bool> Hot for Tiles<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { a, b, first, out, wanted } = self;
+        let rows = a.nrows();
         for i in firsts(rows) {
-            for j in firsts(out.len() / rows).filter(|j| wanted(i, task * width + j)) {
-                for (c, sums) in tile(a, b, i, task * width + j).iter().enumerate() {
+            for j in firsts(out.len() / rows) {
+                if !wanted(i, first + j) {
+                    continue;
+                }
+                for (c, sums) in tile(a, b, i, first + j).iter().enumerate() {
                     out[(j + c) * rows + i..][..TILE].copy_from_slice(sums);
                 }
             }
         }
-    });
-    out
+    }
 }
 
 /// Where tiles begin; the last one overlaps with the one before.
@@ -71,21 +98,42 @@ fn tile(a: &DMatrix<f64>, b: &DMatrix<f64>, row: usize, column: usize) -> [[f64;
 #[must_use]
 pub fn times(a: &DMatrix<f64>, x: &DVector<f64>) -> DVector<f64> {
     let mut out = DVector::zeros(a.nrows());
-    let y = out.as_mut_slice();
-    let (rows, x) = (a.nrows().max(1), x.as_slice());
-    let Some((first, x)) = x.split_first() else { return out };
-    let (start, a) = a.as_slice().split_at(a.nrows());
-    y.iter_mut().zip(start).for_each(|(y, a)| *y = a * first);
-    let ((x, x_rest), columns) = (x.as_chunks::<TILE>(), a.chunks_exact(TILE * rows));
-    let rest = columns.remainder().chunks_exact(rows);
-    for (columns, [p, q, r, s]) in columns.zip(x) {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|n| &columns[n * rows..(n + 1) * rows]);
-        for (i, y) in y.iter_mut().enumerate() {
-            *y = *y + a[i] * p + b[i] * q + c[i] * r + d[i] * s;
+    dispatch(Isa::detect(), Times { a, x: x.as_slice(), out: out.as_mut_slice() });
+    out
+}
+
+struct Times<'a> {
+    a: &'a DMatrix<f64>,
+    x: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl Hot for Times<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { a, x, out: y } = self;
+        let rows = a.nrows().max(1);
+        let Some((first, x)) = x.split_first() else { return };
+        let (start, a) = a.as_slice().split_at(a.nrows());
+        for (y, a) in y.iter_mut().zip(start) {
+            *y = a * first;
+        }
+        let ((x, x_rest), columns) = (x.as_chunks::<TILE>(), a.chunks_exact(TILE * rows));
+        let rest = columns.remainder().chunks_exact(rows);
+        for (columns, [p, q, r, s]) in columns.zip(x) {
+            let (a, columns) = columns.split_at(rows);
+            let (b, columns) = columns.split_at(rows);
+            let (c, d) = columns.split_at(rows);
+            for (i, y) in y.iter_mut().enumerate() {
+                *y = *y + a[i] * p + b[i] * q + c[i] * r + d[i] * s;
+            }
+        }
+        for (column, x) in rest.zip(x_rest) {
+            add_scaled(y, *x, column);
         }
     }
-    rest.zip(x_rest).for_each(|(column, x)| add_scaled(y, *x, column));
-    out
 }
 
 /// `Σ a b`, in eight partial sums.
@@ -109,7 +157,9 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
 /// `y += scale · x`.
 #[inline(always)]
 pub fn add_scaled(y: &mut [f64], scale: f64, x: &[f64]) {
-    y.iter_mut().zip(x).for_each(|(y, x)| *y += scale * x);
+    for (y, x) in y.iter_mut().zip(x) {
+        *y += scale * x;
+    }
 }
 
 #[cfg(test)]

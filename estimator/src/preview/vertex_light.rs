@@ -10,7 +10,7 @@ use recordings::decision::TransferLevel;
 use recordings::result::Estimate;
 
 /// Rays per vertex.
-const RAYS: usize = 128;
+const RAYS: usize = 64;
 /// Rays per vertex to each lamp.
 const SOURCE_RAYS: u32 = 16;
 

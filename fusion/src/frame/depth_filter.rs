@@ -1,7 +1,7 @@
 //! Rejection of grazing and flying depth pixels.
 
-use crate::isa::Hot;
 use firmware_config::tuning::DepthNoise;
+use isa::Hot;
 
 /// Copies a depth image (metres, row-major, 0 = none) without the pixels whose neighbours on both sides differ by more than
 /// a surface of the steepest accepted slope would.
@@ -18,6 +18,8 @@ pub struct RejectSteep<'a> {
 }
 
 impl Hot for RejectSteep<'_> {
+    type Output = ();
+
     #[inline(always)]
     fn run(self) {
         let Self { raw, out, width, height, slope, sigmas, noise } = self;

@@ -7,10 +7,10 @@ use crate::camera::rig::{LEVELS, Rig};
 use crate::camera::rolling_shutter::Motion;
 use crate::frame::depth_filter::RejectSteep;
 use crate::frame::grey::Grey;
-use crate::isa::{Isa, dispatch};
 use firmware_config::FusionConfig;
 use firmware_config::tuning::PreprocessingTuning;
 use glam::Vec3;
+use isa::{Isa, dispatch};
 use recordings::types::RgbdFrame;
 
 /// A point of the tracking grid, axes of the colour camera.

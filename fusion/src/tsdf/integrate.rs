@@ -4,10 +4,10 @@
 use crate::camera::pinhole::{Pinhole, Rigid};
 use crate::camera::rig::Rig;
 use crate::camera::rolling_shutter::RollingShutter;
-use crate::isa::{Isa, dispatch};
 use crate::tsdf::kernel::{BlockUpdate, Kernel, add_border};
 use crate::tsdf::volume::{BlockCoord, EDGE, Refusal, SDF_ONE, VOXELS, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
+use isa::{Isa, dispatch};
 use rayon::prelude::*;
 use recordings::types::Pose;
 

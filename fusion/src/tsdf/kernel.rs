@@ -3,11 +3,11 @@
 use crate::camera::pinhole::{Pinhole, Rigid};
 use crate::camera::rig::{MAX_DEPTH_PIXELS, Rig};
 use crate::camera::rolling_shutter::RollingShutter;
-use crate::isa::Hot;
 use crate::tsdf::volume::{BlockCoord, EDGE, SDF_ONE, Volume, WEIGHT_UNIT};
 use firmware_config::FusionConfig;
 use firmware_config::tuning::DepthNoise;
 use glam::{Mat3, Vec3};
+use isa::Hot;
 use recordings::types::Pose;
 
 /// Voxels in a slice of a block.
@@ -60,6 +60,8 @@ pub struct BlockUpdate<'a, const ROLLS: bool> {
 }
 
 impl<const ROLLS: bool> Hot for BlockUpdate<'_, ROLLS> {
+    type Output = ();
+
     #[inline(always)]
     fn run(self) {
         self.kernel.block::<ROLLS>(self.coord, self.sdf, self.weight);

@@ -86,15 +86,32 @@ impl ChunkWriter {
     /// # Errors
     /// The disk is full or gone.
     pub fn finish(mut self) -> Result<()> {
-        self.write(END, &[])?;
-        let part = |e| Error::io(&self.part, e);
-        if let Some(file) = &mut self.file {
-            file.flush().map_err(part)?;
-            file.get_ref().sync_all().map_err(part)?;
+        self.end()?;
+        if let Some(file) = &self.file {
+            file.get_ref().sync_all().map_err(|e| Error::io(&self.part, e))?;
         }
+        self.put_in_place()?;
+        sync_folder(&self.path)
+    }
+
+    /// Ends the file and gives it its name, without the wait for the disk.
+    ///
+    /// # Errors
+    /// The disk is full or gone.
+    pub fn finish_unsynced(mut self) -> Result<()> {
+        self.end()?;
+        self.put_in_place()
+    }
+
+    fn end(&mut self) -> Result<()> {
+        self.write(END, &[])?;
+        self.file.as_mut().map_or(Ok(()), BufWriter::flush).map_err(|e| Error::io(&self.part, e))
+    }
+
+    fn put_in_place(&mut self) -> Result<()> {
         std::fs::rename(&self.part, &self.path).map_err(|e| Error::io(&self.path, e))?;
         self.file = None;
-        sync_folder(&self.path)
+        Ok(())
     }
 }
 

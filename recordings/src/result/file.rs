@@ -135,6 +135,18 @@ impl Estimate {
     /// # Errors
     /// As [`Estimate::write`].
     pub fn write_from(&self, path: &Path, origin: Option<&Origin>) -> Result<()> {
+        self.written(path, origin)?.finish()
+    }
+
+    /// The same without the wait for the disk: after a power cut the file may be damaged, which reading it tells.
+    ///
+    /// # Errors
+    /// As [`Estimate::write`].
+    pub fn write_unsynced(&self, path: &Path, origin: Option<&Origin>) -> Result<()> {
+        self.written(path, origin)?.finish_unsynced()
+    }
+
+    fn written(&self, path: &Path, origin: Option<&Origin>) -> Result<ChunkWriter> {
         let refuse = |problem: String| Error::invalid(path, problem, "this result cannot be stored");
         self.check().map_err(refuse)?;
         let texts: Vec<DecisionText> = self.decisions.iter().map(Decision::text).collect();
@@ -169,7 +181,7 @@ impl Estimate {
         if let Some(texture) = &self.texture {
             file.write(TEXTURE, &[&texture.pack(&triangles).map_err(refuse)?])?;
         }
-        file.finish()
+        Ok(file)
     }
 }
 

@@ -76,7 +76,7 @@ impl Answers {
             }
         }
         let next = beside(&self.result, NEXT);
-        let written = estimate.write_from(&next, Some(&self.origin));
+        let written = estimate.write_unsynced(&next, Some(&self.origin));
         let mut state = self.lock();
         // What is in its place in time is not replaced too late.
         if state.is_over || (state.in_place.is_some() && self.started.elapsed() > self.budget) {
@@ -84,7 +84,13 @@ impl Answers {
             return Ok(());
         }
         written.map_err(|e| Failure::Internal(e.to_string()))?;
-        let place = if state.in_place.is_some() { self.result.clone() } else { beside(&self.result, NEWEST) };
+        // Only what takes the place of the result has to outlive a power cut: a disk that is slow must not halt the run.
+        let place = if state.in_place.is_some() {
+            sync(&next)?;
+            self.result.clone()
+        } else {
+            beside(&self.result, NEWEST)
+        };
         std::fs::rename(&next, &place).map_err(|e| Failure::writing(&place, e))?;
         state.newest = Some(Summary::of(estimate));
         Ok(())
@@ -97,8 +103,9 @@ impl Answers {
     pub fn put_in_place(&self) -> Result<bool, Failure> {
         let mut state = self.lock();
         if state.in_place.is_none() && state.newest.is_some() {
-            std::fs::rename(beside(&self.result, NEWEST), &self.result)
-                .map_err(|e| Failure::writing(&self.result, e))?;
+            let newest = beside(&self.result, NEWEST);
+            sync(&newest)?;
+            std::fs::rename(&newest, &self.result).map_err(|e| Failure::writing(&self.result, e))?;
             state.in_place = Some(self.started.elapsed());
             sync(self.result.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new(".")))?;
         }
