@@ -278,6 +278,24 @@ pub enum Decision {
         /// Weights tried, strongest first, and RMS relative error on held-out vertices.
         held_out: Vec<(f64, f64)>,
     },
+    /// What keyframes saw beyond the scan, and the recovered light beside it.
+    Background(BackgroundLikeness),
+}
+
+/// How the distant light correlates with what half of the keyframes saw beyond the scan. No step uses that; of what the other half
+/// saw, directions that surfaces do not tell are filled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BackgroundLikeness {
+    /// Weight of the other half in the light; 0 = none, and where nothing was seen.
+    pub weight: f64,
+    /// Weights tried, strongest first, and RMS relative error on held-out vertices.
+    pub held_out: Vec<(f64, f64)>,
+    /// Keyframes of the half that is compared which saw something beyond the scan.
+    pub keyframes: u32,
+    /// Directions that they saw.
+    pub directions: u32,
+    /// Correlation of the luminances; `None` where too few directions were seen, or one side is even.
+    pub correlation: Option<f64>,
 }
 
 /// What fixed the scale of the albedo.

@@ -90,6 +90,7 @@ impl Decision {
             Self::Materials { .. } => "materials",
             Self::NearLight { .. } => "near light",
             Self::LightChroma { .. } => "colour of the light",
+            Self::Background(_) => "background",
         }
     }
 
@@ -129,6 +130,12 @@ impl Decision {
             Self::Materials { materials, .. } => materials.to_string(),
             Self::LightChroma { weight: 0.0, .. } => "each channel for itself".into(),
             Self::LightChroma { weight, .. } => format!("drawn together by {weight}"),
+            Self::Background(b) => {
+                let used =
+                    if b.weight > 0.0 { format!("light drawn to it by {}", b.weight) } else { "not used".into() };
+                b.correlation
+                    .map_or(used.clone(), |c| format!("{used}, which correlates {c:.2} with what was left out"))
+            }
             Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
     }
@@ -260,6 +267,21 @@ impl Decision {
                     tried.join(", ")
                 )
             }
+            Self::Background(b) => {
+                let tried: Vec<String> = b.held_out.iter().map(|(weight, e)| format!("{weight}: {e:.4}")).collect();
+                let tried = if tried.is_empty() {
+                    String::new()
+                } else {
+                    format!(
+                        "RMS relative error on vertices left out, by the weight of what was seen: {}; ",
+                        tried.join(", ")
+                    )
+                };
+                format!(
+                    "{tried}{} keyframes that were left out show {} directions beyond the scan",
+                    b.keyframes, b.directions
+                )
+            }
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -293,6 +315,7 @@ impl Decision {
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } => "2 models compared".into(),
             Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),
+            Self::Background(b) => format!("{} pictures", b.keyframes),
         }
     }
 
@@ -341,9 +364,11 @@ impl Decision {
                 "finer texels: a larger texture.max_side".into()
             }
             Self::Texture { .. } => "finer texels show nothing that the pictures show".into(),
-            Self::Veil { .. } | Self::Materials { .. } | Self::NearLight { .. } | Self::LightChroma { .. } => {
-                String::new()
-            }
+            Self::Veil { .. }
+            | Self::Materials { .. }
+            | Self::NearLight { .. }
+            | Self::LightChroma { .. }
+            | Self::Background(_) => String::new(),
         }
     }
 }
@@ -462,7 +487,7 @@ fn list(values: &[f64], digits: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::decision::TransferLevel;
+    use crate::decision::{BackgroundLikeness, TransferLevel};
     use crate::testing::{cuts, decisions, warnings};
 
     fn line(d: &Decision) -> String {
@@ -603,6 +628,24 @@ mod tests {
              that the channels have in common: 0.1: 0.2100, 0: 0.2000 | 2 solutions of the light | "
         );
         assert!(line(&drawn(0.0)).contains("each channel for itself"));
+    }
+
+    #[test]
+    fn the_background_says_what_it_is_worth() {
+        let seen = |weight, directions, correlation| {
+            let held_out = if weight > 0.0 { vec![(weight, 0.21), (0.0, 0.2)] } else { vec![] };
+            line(&Decision::Background(BackgroundLikeness { weight, held_out, keyframes: 4, directions, correlation }))
+        };
+        assert_eq!(
+            seen(0.1, 812, Some(0.614)),
+            "background | light drawn to it by 0.1, which correlates 0.61 with what was left out | RMS relative error on vertices \
+             left out, by the weight of what was seen: 0.1: 0.2100, 0: 0.2000; 4 keyframes that were left out show 812 \
+             directions beyond the scan | 4 pictures | "
+        );
+        assert_eq!(
+            seen(0.0, 9, None),
+            "background | not used | 4 keyframes that were left out show 9 directions beyond the scan | 4 pictures | "
+        );
     }
 
     #[test]

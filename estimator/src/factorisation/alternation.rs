@@ -26,28 +26,36 @@ pub(super) const FIRST_REGULARISATION: f64 = REGULARISATIONS[2];
 /// The radiance that directions are drawn to, as far as surfaces do not tell theirs.
 #[derive(Debug, Clone)]
 pub(super) struct Prior {
-    /// Weight of the mean of (r − center)², in units of Σ w f².
-    weight: f64,
-    /// `[direction]`, mean 1.
+    /// Weights of (r − center)², in units of the mean of Σ w f² over the directions: `[direction]`.
+    weight: DVector<f64>,
+    /// In units of the mean radiance: `[direction]`.
     center: DVector<f64>,
 }
 
 impl Prior {
     /// Uniform radiance.
     pub fn uniform(regularisation: f64) -> Self {
-        Self { weight: regularisation, center: DVector::from_element(DIRECTIONS, 1.0) }
+        Self {
+            weight: DVector::from_element(DIRECTIONS, regularisation),
+            center: DVector::from_element(DIRECTIONS, 1.0),
+        }
     }
 
-    /// Uniform radiance with the weight `regularisation`, and `grey`, which the channels have in common, with the weight `chroma`.
-    pub fn grey(regularisation: f64, chroma: f64, grey: &DVector<f64>) -> Self {
-        let weight = regularisation + chroma;
-        let share = if weight > 0.0 { chroma / weight } else { 0.0 };
-        Self { weight, center: grey.map(|g| 1.0 + share * (g - 1.0)) }
+    /// The same drawn to `center`, too, with a `weight` for each direction.
+    pub fn drawn_to(mut self, center: &DVector<f64>, weight: impl Fn(usize) -> f64) -> Self {
+        for d in 0..DIRECTIONS {
+            let (more, before) = (weight(d), self.weight[d]);
+            self.weight[d] = before + more;
+            if self.weight[d] > 0.0 {
+                self.center[d] += more / self.weight[d] * (center[d] - self.center[d]);
+            }
+        }
+        self
     }
 
     /// `total` is Σ w f².
     fn penalty(&self, total: f64, tuning: &FactorisationTuning) -> Penalty<'_> {
-        let strength = self.weight * total / DIRECTIONS as f64;
+        let strength = self.weight.map(|w| w * total / DIRECTIONS as f64);
         Penalty { strength, center: &self.center, min_observability: tuning.min_observability }
     }
 }
@@ -110,8 +118,9 @@ impl Alternation {
 
     /// Light for the albedos as they are, of which `form` is made.
     pub fn light_alone(&mut self, form: &LightForm, prior: &Prior, tuning: &FactorisationTuning) {
+        let penalty = prior.penalty(form.total, tuning);
         for _ in 0..LIGHT_TURNS {
-            form.descend(&prior.penalty(form.total, tuning), &mut self.radiance);
+            form.descend(&penalty, &mut self.radiance);
         }
     }
 
@@ -192,7 +201,8 @@ impl Hot for SomeColumns<'_> {
 /// diagonal of Pᵀ G P) is below the share `min_observability` of the largest: directions that few vertices see would fit
 /// their errors.
 struct Penalty<'a> {
-    strength: f64,
+    /// `[direction]`.
+    strength: DVector<f64>,
     /// c: `[direction]`.
     center: &'a DVector<f64>,
     min_observability: f64,
@@ -227,14 +237,14 @@ impl<'a> LightForm<'a> {
     }
 
     /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r.
-    fn descend(&self, &Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) {
+    fn descend(&self, Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) {
         let least = min_observability * self.observability.iter().copied().fold(0.0, f64::max);
-        let held = |&o: &f64| (o, strength * (1.0 + least / o.max(1e-4 * least)));
+        let held = |(&o, s): (&f64, &f64)| (o, s * (1.0 + least / o.max(1e-4 * least)));
         let mut gradient = dense::times(&self.gram, &dense::times(self.projection.matrix(), r)) - &self.cross;
         let descent = Descent {
             columns: self.projection.matrix().as_slice(),
             products: self.products.as_slice(),
-            held: &self.observability.iter().map(held).collect::<Vec<_>>(),
+            held: &self.observability.iter().zip(strength).map(held).collect::<Vec<_>>(),
             center: center.as_slice(),
             gradient: gradient.as_mut_slice(),
             r: r.as_mut_slice(),

@@ -5,8 +5,8 @@
 
 pub mod albedo;
 mod alternation;
-pub mod chroma;
 pub mod distance_check;
+pub mod drawn_light;
 mod factorise;
 pub mod held_out;
 pub mod paper_solver;
@@ -16,10 +16,12 @@ mod projection;
 pub mod robust_solver;
 pub mod scale;
 mod scale_prior;
+mod seen_background;
 mod solution;
 mod statistics;
 
 pub use factorise::{Factorised, Start, factorise, narrowed, start_from};
 pub use problem::{Colors, FactorisationOptions, KnownAlbedo, Observed};
 pub use projection::Projection;
+pub use seen_background::SeenBackground;
 pub use solution::{Solution, directions};

@@ -1,6 +1,7 @@
 //! The stages of an estimate: a scan in, prepared data, a selected model and the parts of the result out. `estimate()` runs
 //! each once; the sweep runs some of them many times.
 
+mod background;
 mod first_answer;
 mod gloss;
 mod hand_over;

@@ -8,6 +8,7 @@ use crate::mesh::{clustering, regularise};
 use crate::rays::RayScene;
 use crate::segmentation;
 use crate::specular::refit::Surface;
+use crate::stages::background::Background;
 use crate::stages::reference::{Shown, reference};
 use crate::stages::run::Run;
 use recordings::decision::{Decision, Warning};
@@ -29,6 +30,8 @@ pub struct Prepared {
     pub segment: Vec<u32>,
     /// Number of segments.
     pub segments: usize,
+    /// What keyframes saw beyond the mesh.
+    pub background: Background,
     /// A surface whose albedo the user stated.
     pub known: Option<KnownAlbedo>,
     /// Decisions so far.
@@ -89,12 +92,11 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
     plan.mesh_done(mesh.positions.len());
     let mut context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, config);
     context.poses_are_tracked = scan.source == ScanSource::Fusion;
-    let effort = AssociationEffort {
-        rounds: plan.max_pose_rounds(),
-        stride: plan.workload().keyframe_stride,
-        go_on: &mut |round| plan.pose_round(round),
-    };
+    let stride = plan.workload().keyframe_stride;
+    let effort =
+        AssociationEffort { rounds: plan.max_pose_rounds(), stride, go_on: &mut |round| plan.pose_round(round) };
     let mut fields = association::associate_within(&context, &scan.keyframes, progress, effort);
+    let background = Background::observe(scan, &fields.views, stride, &scene);
     plan.association_done();
     let mut decisions = std::mem::take(&mut fields.decisions);
     let (decision, mismatch) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);
@@ -109,5 +111,5 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
     let warnings = Vec::from_iter(mismatch);
     let shown = Shown { mesh: &mesh, scene: &scene, fields: &fields, segment: &segment };
     let known = run.options.reference.map(|stated| reference(&stated, &shown, scan)).transpose()?;
-    Ok(Prepared { mesh, scene, fields, segment, segments, known, decisions, warnings })
+    Ok(Prepared { mesh, scene, fields, segment, segments, background, known, decisions, warnings })
 }

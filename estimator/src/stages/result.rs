@@ -1,6 +1,7 @@
 //! The parts of the result.
 
-use crate::factorisation::{Factorised, chroma, directions, distance_check, narrowed};
+use crate::factorisation::drawn_light::Drawn;
+use crate::factorisation::{Factorised, directions, distance_check, drawn_light, narrowed};
 use crate::model_selection;
 use crate::numerics::sh;
 use crate::specular::Gloss;
@@ -28,8 +29,10 @@ pub fn result(
     decisions.push(transfer_decision(&answer.found, run.config));
     let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
     let unseen_light = unseen_light(&answer.found, run.config);
-    let (light, chroma) = light(prepared, &answer, local_light.model, run.config);
-    decisions.extend(chroma);
+    let (light, drawn) = light(prepared, &answer, local_light.model, run.config);
+    let (chroma, background) = drawn.map_or((None, None), |d| (Some(d.chroma), d.background));
+    decisions.extend(chroma.map(|c| Decision::LightChroma { weight: c.weight, held_out: c.held_out }));
+    decisions.push(prepared.background.likeness(&light, background));
     let estimate = Estimate {
         name: scan.name.clone(),
         response: scan.sensor.response,
@@ -67,14 +70,9 @@ fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
     keyframes.collect()
 }
 
-/// The light, and what was decided of its colour. With gloss it has no more than the bands that mirrors show
+/// The light, and what it was drawn to. With gloss it has no more than the bands that mirrors show
 /// ([`sh::MIRRORED_BANDS`]).
-fn light(
-    prepared: &Prepared,
-    answer: &Answer,
-    model: LightModel,
-    config: &EstimatorConfig,
-) -> (Light, Option<Decision>) {
+fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &EstimatorConfig) -> (Light, Option<Drawn>) {
     let Answer { found, gloss } = answer;
     let (colors, tuning) = (prepared.colors(), &config.tuning.factorisation);
     let is_mirrored = gloss.iter().any(|g| g.significant);
@@ -85,15 +83,16 @@ fn light(
     };
     // Eq. (9) holds for these colours where all light is distant.
     let is_told = model == LightModel::Distant && config.solver == SolverChoice::Robust;
-    let chroma =
-        is_told.then(|| chroma::draw_together(&colors.under(&found.transfer), &mut solution, tuning)).flatten();
+    let seen = prepared.background.evidence();
+    let drawn =
+        is_told.then(|| drawn_light::draw(&colors.under(&found.transfer), &mut solution, &seen, tuning)).flatten();
     let light = Light {
         coefficients: solution.light,
         standard_deviation: solution.standard_deviation,
         directions: directions().iter().map(|d| d.as_vec3().to_array()).collect(),
         radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
     };
-    (light, chroma.map(|c| Decision::LightChroma { weight: c.weight, held_out: c.held_out }))
+    (light, drawn)
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.

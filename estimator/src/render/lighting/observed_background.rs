@@ -166,8 +166,9 @@ pub fn overlay(light: &Environment, known: &[ObservedTexel]) -> Environment {
     })
 }
 
-/// Mean radiance of every texel that one keyframe saw past the mesh, ascending.
-fn one_view(
+/// Mean radiance of every texel that one keyframe saw past the mesh, ascending, and whether it was clipped.
+#[must_use]
+pub fn one_view(
     keyframe: &ResultKeyframe,
     picture: &RgbImage,
     scene: &RayScene,

@@ -1,37 +1,52 @@
-//! Colour of the light, direction by direction, as far as surfaces tell it.
+//! What surfaces do not tell of the light: its colour in single directions, and directions that no surface faces.
 //!
 //! Channels are solved one by one, and a few hundred directions have more freedom than the surfaces' irradiance shows: their spots
-//! come out green, pink and blue. Here the channels are drawn to the radiance that they have in common, as strongly as the colours of
-//! held-out surface allow. Albedos stay.
+//! come out green, pink and blue. Here the channels are drawn to the radiance that they have in common, and then to the radiance that
+//! keyframes saw beyond the scan, each as strongly as the colours of held-out surface allow. Albedos stay.
 
 use crate::factorisation::alternation::{Alternation, LightForm, Prior};
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::robust_solver::Channel;
+use crate::factorisation::seen_background::SeenBackground;
 use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
 use crate::factorisation::statistics::{Statistics, samples};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-/// Weights of the prior that are tried, strongest first.
-const WEIGHTS: [f64; 8] = [1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0];
+/// Weights of a prior that are tried, strongest first.
+const WEIGHTS: [f64; 9] = [10.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0];
 /// The RMS relative error on held-out vertices may rise by this share: a richer model must explain more than that.
 const MOST_RISE: f64 = 0.02;
 
 /// The weight chosen, and the evidence.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Chroma {
+pub struct Chosen {
     /// Weight of the prior.
     pub weight: f64,
     /// Weights tried, strongest first, and RMS relative error on held-out vertices.
     pub held_out: Vec<(f64, f64)>,
 }
 
-/// Gives the light of `solution` the strongest prior on a common radiance that held-out vertices allow. Changes coefficients and
-/// radiance only. `None` where the light is dark in a channel, and where no vertex is held out.
+/// What the light was drawn to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drawn {
+    /// The radiance that the channels have in common.
+    pub chroma: Chosen,
+    /// What keyframes saw beyond the scan; `None` where they saw nothing.
+    pub background: Option<Chosen>,
+}
+
+/// Gives the light of `solution` the strongest priors that held-out vertices allow. Changes coefficients and radiance only. `None`
+/// where the light is dark in a channel, and where no vertex is held out.
 #[must_use]
-pub fn draw_together(observed: &Observed, solution: &mut Solution, tuning: &FactorisationTuning) -> Option<Chroma> {
+pub fn draw(
+    observed: &Observed,
+    solution: &mut Solution,
+    background: &SeenBackground,
+    tuning: &FactorisationTuning,
+) -> Option<Drawn> {
     let samples = samples(observed, tuning);
     let projection = Projection::new(solution.light.len());
     let fit = |c: usize| Fit::new(&Channel::new(observed, &samples, c, tuning), solution, &projection);
@@ -40,19 +55,44 @@ pub fn draw_together(observed: &Observed, solution: &mut Solution, tuning: &Fact
         return None;
     }
     let grey = fits.iter().map(|f| &f.state.radiance).sum::<DVector<f64>>() / 3.0;
+    let alike = |f: &Fit, weight: f64| Prior::uniform(f.regularisation).drawn_to(&grey, |_| weight);
+    let (chroma, mut states) = strongest(&fits, &projection, tuning, |c, weight| alike(&fits[c], weight))?;
+    let seen = if background.is_empty() {
+        None
+    } else {
+        let center = |c: usize| background.relative_to(c, fits[c].level, &states[c].radiance);
+        let centers = [0, 1, 2].map(center);
+        let towards = |c: usize, weight: f64| {
+            alike(&fits[c], chroma.weight).drawn_to(&centers[c], |d| weight * background.share(d))
+        };
+        let (chosen, drawn) = strongest(&fits, &projection, tuning, towards)?;
+        states = drawn;
+        Some(chosen)
+    };
+    let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(&projection)).collect();
+    solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
+    solution.radiance = zip3(DIRECTIONS, &|c, i| fits[c].level * states[c].radiance[i]);
+    Some(Drawn { chroma, background: seen })
+}
+
+/// The strongest weight of a prior, for channel and weight, that held-out vertices allow, and what it makes of the channels.
+fn strongest(
+    fits: &[Fit],
+    projection: &Projection,
+    tuning: &FactorisationTuning,
+    prior: impl Fn(usize, f64) -> Prior + Sync,
+) -> Option<(Chosen, Vec<Alternation>)> {
     let trial = |weight: f64| {
-        let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&grey, weight, tuning)).collect();
-        let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, &projection);
+        let drawn = |(c, fit): (usize, &Fit)| fit.towards(&prior(c, weight), tuning);
+        let states: Vec<Alternation> = fits.par_iter().enumerate().map(drawn).collect();
+        let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, projection);
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
     let tried = WEIGHTS.map(trial);
     let most = (1.0 + MOST_RISE) * (1.0 + MOST_RISE) * tried[WEIGHTS.len() - 1].1;
     let held_out = tried.iter().map(|t| (t.0, libm::sqrt(t.1))).collect();
     let (weight, _, states) = tried.into_iter().find(|t| t.1 <= most)?;
-    let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(&projection)).collect();
-    solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
-    solution.radiance = zip3(DIRECTIONS, &|c, i| fits[c].level * states[c].radiance[i]);
-    Some(Chroma { weight, held_out })
+    Some((Chosen { weight, held_out }, states))
 }
 
 /// One channel.
@@ -83,10 +123,10 @@ impl<'a> Fit<'a> {
         Some(Self { state, form, held_out: folds.held_out, regularisation: channel.regularisation(solution), level })
     }
 
-    /// The same albedos with a prior of this weight on the radiance `grey`.
-    fn towards(&self, grey: &DVector<f64>, weight: f64, tuning: &FactorisationTuning) -> Alternation {
+    /// The same albedos with another prior.
+    fn towards(&self, prior: &Prior, tuning: &FactorisationTuning) -> Alternation {
         let mut state = self.state.clone();
-        state.light_alone(&self.form, &Prior::grey(self.regularisation, weight, grey), tuning);
+        state.light_alone(&self.form, prior, tuning);
         state
     }
 }
@@ -101,17 +141,20 @@ mod tests {
     use recordings::types::Mesh;
     use std::sync::Arc;
 
+    fn noisy(i: usize) -> f32 {
+        1.0 + 0.03 * (libm::sinf(i as f32 * 12.9898) * 43758.547).fract()
+    }
+
     /// A grey ball in light from above, of which `tint` of the blue comes from below. Colours have errors of 3 %. Mean distance of the
     /// channels' coefficients, relative to the light, before and after; and the share of blue that the light has from below.
     fn ball(tint: f32) -> (f64, f64, f64) {
         let normals: Vec<Vec3> = sh::even_directions(4000).iter().map(|d| d.as_vec3().normalize()).collect();
         let mesh = Mesh { positions: normals.clone(), normals: normals.clone(), ..Mesh::default() };
         let transfer = Transfer { traced: Arc::new(transfer::unoccluded(&mesh, 5)), bounced: None };
-        let noise = |i: usize| 1.0 + 0.03 * (libm::sinf(i as f32 * 12.9898) * 43758.547).fract();
         let light = |n: &Vec3, sign: f32| 0.5 + 0.4 * sign * n.z;
         let color = |(i, n): (usize, &Vec3)| {
             let blue = (1.0 - tint) * light(n, 1.0) + tint * light(n, -1.0);
-            Vec3::new(light(n, 1.0) * noise(3 * i), light(n, 1.0) * noise(3 * i + 1), blue * noise(3 * i + 2))
+            Vec3::new(light(n, 1.0) * noisy(3 * i), light(n, 1.0) * noisy(3 * i + 1), blue * noisy(3 * i + 2))
         };
         let lit_color: Vec<Vec3> = normals.iter().enumerate().map(color).collect();
         let n = normals.len();
@@ -132,12 +175,43 @@ mod tests {
             libm::sqrt(off)
         };
         let before = apart(&solution);
-        draw_together(&observed, &mut solution, &tuning).expect("light in every channel");
+        draw(&observed, &mut solution, &SeenBackground::default(), &tuning).expect("light in every channel");
         assert_eq!(solution.albedo, albedo);
         let irradiance = transfer.irradiance(&solution.light);
         let bottom = (0..n).min_by(|a, b| normals[*a].z.total_cmp(&normals[*b].z)).expect("a ball");
         let blue = irradiance[bottom].z * albedo[0][2] as f32 / (irradiance[bottom].x * albedo[0][0] as f32);
         (before, apart(&solution), f64::from(blue))
+    }
+
+    #[test]
+    fn directions_that_no_surface_tells_take_what_was_seen_there() {
+        // Surface that faces up, in even light and with errors of 3 %; red and bright below.
+        let normals: Vec<Vec3> = sh::even_directions(30_000).iter().map(|d| d.as_vec3().normalize()).collect();
+        let normals: Vec<Vec3> = normals.into_iter().filter(|n| n.z > 0.7).collect();
+        let n = normals.len();
+        let mesh = Mesh { positions: normals.clone(), normals, ..Mesh::default() };
+        let transfer = Transfer { traced: Arc::new(transfer::unoccluded(&mesh, 5)), bounced: None };
+        let observed = Observed {
+            transfer: &transfer,
+            lit_color: &(0..n).map(|i| Vec3::splat(noisy(i))).collect::<Vec<_>>(),
+            lit_weight: &vec![1.0; n],
+            clipped: &vec![false; n],
+            segment: &vec![0; n],
+            segments: 1,
+        };
+        let tuning = FactorisationTuning::default();
+        let mut solution = robust_solver::solve(&observed, 5, None, &tuning);
+        let below = |d: Vec3, low: Vec3| if d.z < -0.6 { Some((d, low, false)) } else { None };
+        let seen = |low: Vec3| {
+            let all = sh::even_directions(4000).into_iter().filter_map(move |d| below(d.as_vec3().normalize(), low));
+            SeenBackground::new(all, 1.0 / 4000.0)
+        };
+        let level = solution.radiance.iter().map(|r| r[0]).sum::<f64>() / solution.radiance.len() as f64;
+        let low = Vec3::new(3.0, 1.0, 1.0) * level as f32;
+        let drawn = draw(&observed, &mut solution, &seen(low), &tuning).expect("light in every channel");
+        assert!(drawn.background.expect("something was seen").weight > 0.0);
+        let light = sh::radiance(&solution.light, glam::DVec3::NEG_Z).map(|c| c / level);
+        assert!(light[0] > 2.0 && light[1] < 1.6, "{light:?} where 3, 1 and 1 were seen");
     }
 
     #[test]
