@@ -163,6 +163,15 @@ fn a_pause_adds_nothing_and_does_not_tear_the_surface() {
 }
 
 #[test]
+fn a_scan_that_is_paused_at_once_begins_when_it_goes_on() {
+    let table = bundled();
+    let frames = table.1.len();
+    let (output, _) = fuse_with_a_pause(&table, 0..10);
+    assert!(output.trajectory.len() + 10 >= frames, "{} of {frames} frames tracked", output.trajectory.len());
+    assert!(output.mesh.positions.len() > 1000, "{} vertices", output.mesh.positions.len());
+}
+
+#[test]
 #[cfg_attr(not(shared), ignore = "needs LUMISCAN_SHARED: the recordings of data/ and truth_rgbd/")]
 fn a_desk_is_followed_covered_and_has_no_double_walls() {
     let shared = shared();
