@@ -63,7 +63,7 @@ impl Fusion {
         }
     }
 
-    /// While paused, frames are tracked, and neither integrated nor kept.
+    /// While paused, frames are tracked, and neither integrated nor kept. There has to be a surface to track by: a pause begins after it.
     pub fn set_paused(&mut self, paused: bool) {
         self.paused = paused;
     }
@@ -92,12 +92,13 @@ impl Fusion {
             return Ok(self.report(None, None, false));
         };
         self.accept_pose(&pose, stamp);
+        let paused = self.paused && self.model.volume.used() > 0;
         // Surface: depth into the TSDF.
-        let coarsened = !self.paused && self.model.fuse(&self.frame, &pose, &self.rig, &self.config);
+        let coarsened = !paused && self.model.fuse(&self.frame, &pose, &self.rig, &self.config);
         // Prediction: the references of the next frame.
         debug_span!("predict").in_scope(|| self.poses.update_references(&self.frame, &pose, &self.rig, &self.config));
         // Eq. (1): candidate keyframes; an image with missing packets is none.
-        let wanted = frame.color.missing_packets == 0 && !self.paused;
+        let wanted = frame.color.missing_packets == 0 && !paused;
         let offer = || wanted.then(|| self.candidates.offer(&self.frame, &pose, &self.config)).flatten();
         let keep = debug_span!("keyframes").in_scope(offer);
         Ok(self.report(Some(pose), keep, coarsened))

@@ -27,7 +27,7 @@ fn watched_table(folder: &Path, more: &[&str]) -> Served {
     Served::start(folder, &[&fixed[..], more].concat())
 }
 
-/// A daemon with a simulated Kinect that shows the recording, over and over.
+/// A daemon with a simulated Kinect that shows the recording; its last picture stands.
 fn daemon(folder: &Path, more: &[&str]) -> Served {
     let (device, plan) = (arg(folder.join("device")), recording());
     let fixed = [
@@ -195,6 +195,8 @@ fn a_scan_is_driven_from_the_page_and_its_files_are_fetched() {
     let settings = s.get("/api/settings").json();
     let changed = settings["settings"].as_array().unwrap().iter().find(|s| s["key"] == "fusion.voxel_size_m").unwrap();
     assert_eq!((&changed["value"], &changed["changes"]), (&"0.031".into(), &true.into()));
+    assert_eq!(change("{\"settings\": {\"daemon.max_scan_s\": 77}}").status, 200);
+    assert_eq!(s.get("/api/status").json()["max_scan_s"], 77.0, "the page shows the limit that holds now");
 
     let list = s.get("/api/scans").json();
     let (id, name) = (list["scans"][0]["id"].as_str().unwrap().to_owned(), &list["scans"][0]["name"]);
@@ -209,6 +211,14 @@ fn a_scan_is_driven_from_the_page_and_its_files_are_fetched() {
     let stale = part("bytes=1000-", "If-Range: \"other\"\r\n");
     assert!(stale.status == 200 && stale.body == on_disk, "what has changed is sent anew");
     assert_eq!(part("bytes=99999999999-", "").status, 416);
+
+    // Links lead nowhere, whether they stand for a file or a scan.
+    let scans = folder.path().join("device/scans");
+    std::os::unix::fs::symlink("/etc/passwd", scans.join(&id).join("passwd.txt")).unwrap();
+    std::os::unix::fs::symlink("/etc", scans.join("elsewhere")).unwrap();
+    for linked in [format!("/scans/{id}/passwd.txt"), "/scans/elsewhere/passwd".into(), "/scans/elsewhere.tar".into()] {
+        assert_eq!(s.get(&linked).status, 404, "{linked}");
+    }
 
     // An archive that broke off goes on where it broke off, and `tar` reads it.
     let archive = format!("/scans/{id}.tar");

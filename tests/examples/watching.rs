@@ -1,6 +1,9 @@
 //! What it costs to watch a scan of the bundled recording, how late its pictures come, and how good the light so far is:
 //! `cargo run --release -p tests --example watching -- LUMISCAN`.
 //!
+//! Drops: a scan on a simulated Kinect that shows the recording in real time, with two clients, light so far, and kept frames going to disk.
+//! Pairs that the pipeline dropped since fusion was busy, and frames that were turned away before it, as `/api/status` counts them.
+//!
 //! Cost: processor time and memory of `lumiscan replay --watch` with two clients that take pictures, surface and events, and without any;
 //! the light so far, a process of its own, is off there. Lateness: from when a frame was due until its picture was received, counted from
 //! the order to start, which the command may take up to 50 ms to notice. Light: irradiance (with shadows, bounces left out) at the vertices
@@ -36,10 +39,20 @@ const HIDDEN: f32 = 0.5;
 const CELL_M: f32 = 0.02;
 /// Runs of each kind.
 const RUNS: usize = 7;
+/// Scans on the simulated Kinect, and the length of each: the recording's, after which its last picture stands.
+const SCANS: usize = 3;
+const SCAN_S: f64 = 5.5;
 
 fn main() -> Outcome<()> {
     let lumiscan = std::env::args().nth(1).ok_or("usage: watching LUMISCAN")?;
     let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop.lrec");
+    for scan in 1..=SCANS {
+        let Dropped { pairs, dropped_pairs, dropped_frames, lights } = scan_in_real_time(&lumiscan, &recording)?;
+        println!(
+            "scan {scan} on a simulated Kinect: {pairs} pairs fused, {dropped_pairs} dropped; {dropped_frames} frames dropped \
+             before; {lights} estimates of the light"
+        );
+    }
     let run = |clients: usize| watch(&lumiscan, &recording, clients, &["--no-estimate", "--set", "serve.light=false"]);
     // In turns, so that what else goes on meets both kinds alike.
     let pairs_of_runs = (0..RUNS).map(|_| Ok((run(0)?, run(2)?))).collect::<Outcome<Vec<_>>>()?;
@@ -109,19 +122,58 @@ impl Drop for Running {
     }
 }
 
-fn watch(lumiscan: &str, recording: &Path, clients: usize, more: &[&str]) -> Outcome<Watched> {
+/// What was lost of a scan in real time.
+struct Dropped {
+    pairs: u64,
+    dropped_pairs: u64,
+    dropped_frames: u64,
+    lights: u64,
+}
+
+fn scan_in_real_time(lumiscan: &str, recording: &Path) -> Outcome<Dropped> {
     let folder = tempfile::tempdir()?;
-    // The scan is read after the folder of this run is gone.
-    let device = std::env::temp_dir().join("lumiscan-watching");
-    // What an interrupted run left there would be told first.
-    let _ = std::fs::remove_dir_all(&device);
-    let token = folder.path().join("token");
-    let mut child = Command::new(lumiscan)
-        .args(["replay", "--watch", "--keep", "--device"])
-        .arg(&device)
-        .arg(recording)
+    let mut command = Command::new(lumiscan);
+    command.args(["capture", "--no-estimate", "--serve", "127.0.0.1:0", "--simulate"]).arg(recording);
+    command.arg("--device").arg(folder.path().join("device"));
+    let (_running, box_) = served(command, folder.path())?;
+    let until = |wanted: &dyn Fn(&Value) -> bool| -> Outcome<Value> {
+        loop {
+            let status: Value = serde_json::from_slice(&box_.ask("GET", "/api/status")?.1)?;
+            if wanted(&status) {
+                return Ok(status);
+            }
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    };
+    until(&|s| s["state"] == "ready")?;
+    box_.ask("POST", "/api/scan/start")?;
+    let (began, over, late) = (Instant::now(), AtomicBool::new(false), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| box_.watch(began, &over, &late));
+        }
+        let ended = (|| {
+            let status = until(&|s| s["scan"]["seconds"].as_f64().is_some_and(|t| t >= SCAN_S))?;
+            box_.ask("POST", "/api/scan/stop")?;
+            until(&|s| s["state"] == "ready")?;
+            let count = |v: &Value| v.as_u64().ok_or("no such count");
+            Ok(Dropped {
+                pairs: count(&status["scan"]["fused_pairs"])?,
+                dropped_pairs: count(&status["drops"]["dropped_pairs"])?,
+                dropped_frames: count(&status["drops"]["dropped_frames"])?,
+                lights: count(&status["live"]["light"])?,
+            })
+        })();
+        over.store(true, Ordering::Relaxed);
+        ended
+    })
+}
+
+/// Starts the command with a token for this program; returns it with its page.
+fn served(mut command: Command, folder: &Path) -> Outcome<(Running, Box_)> {
+    let token = folder.join("token");
+    let mut child = command
         .args(["--set", &format!("serve.token_file={}", token.display())])
-        .args(more)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn()?;
@@ -131,15 +183,24 @@ fn watch(lumiscan: &str, recording: &Path, clients: usize, more: &[&str]) -> Out
     stderr.read_line(&mut line)?;
     std::thread::spawn(move || std::io::copy(&mut stderr, &mut std::io::sink()));
     let host = line.trim().strip_prefix("serving http://").and_then(|l| l.split('/').next()).ok_or("no address")?;
-    let box_ = Box_ { host: host.into(), token: std::fs::read_to_string(&token)?.trim().into() };
+    Ok((running, Box_ { host: host.into(), token: std::fs::read_to_string(&token)?.trim().into() }))
+}
+
+fn watch(lumiscan: &str, recording: &Path, clients: usize, more: &[&str]) -> Outcome<Watched> {
+    let folder = tempfile::tempdir()?;
+    // The scan is read after the folder of this run is gone.
+    let device = std::env::temp_dir().join("lumiscan-watching");
+    // What an interrupted run left there would be told first.
+    let _ = std::fs::remove_dir_all(&device);
+    let mut command = Command::new(lumiscan);
+    command.args(["replay", "--watch", "--keep", "--device"]).arg(&device).arg(recording).args(more);
+    let (running, box_) = served(command, folder.path())?;
     box_.ask("POST", "/api/scan/start")?;
     let (began, over, late) = (Instant::now(), AtomicBool::new(false), Mutex::new(Vec::new()));
     let (mut lights, mut first_light_s): (Vec<Value>, Option<f64>) = (Vec::new(), None);
     let status = std::thread::scope(|scope| -> Outcome<Value> {
         for _ in 0..clients {
-            scope.spawn(|| box_.events(&over));
-            scope.spawn(|| box_.surface(&over));
-            scope.spawn(|| box_.pictures(began, &over, &late));
+            scope.spawn(|| box_.watch(began, &over, &late));
         }
         let mut pairs = 0;
         let ended = (|| loop {
@@ -200,6 +261,15 @@ impl Box_ {
         self.send(method, path)?.read_to_end(&mut bytes)?;
         let at = bytes.windows(4).position(|w| w == b"\r\n\r\n").ok_or("no head")?;
         Ok((String::from_utf8_lossy(&bytes[..at]).into_owned(), bytes.split_off(at + 4)))
+    }
+
+    /// Takes pictures, surface and events, as a page does.
+    fn watch(&self, began: Instant, over: &AtomicBool, late: &Mutex<Vec<f64>>) {
+        std::thread::scope(|scope| {
+            scope.spawn(|| self.events(over));
+            scope.spawn(|| self.surface(over));
+            scope.spawn(|| self.pictures(began, over, late));
+        });
     }
 
     fn events(&self, over: &AtomicBool) {

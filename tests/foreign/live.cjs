@@ -7,6 +7,8 @@ const path = require("path");
 
 const [url, folder] = process.argv.slice(2);
 const problems = [], told = {};
+// Answers that are not to be taken for faults: the console tells of them, too.
+const expected = new Set(["403"]);
 const check = (holds, what) => { if (!holds) problems.push(what); };
 const software = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", "--no-sandbox"];
 const PATIENCE = 300000;
@@ -28,21 +30,37 @@ async function accessible(tab, name) {
   const context = await browser.newContext({ viewport: { width: 390, height: 844 }, hasTouch: true });
   const tab = await context.newPage();
   const watch = (page) => {
-    page.on("console", (m) => { if (m.type() === "error") problems.push("console: " + m.text()); });
+    page.on("console", (m) => { if (m.type() === "error" && ![...expected].some((status) => m.text().includes(status))) problems.push("console: " + m.text()); });
     page.on("pageerror", (e) => problems.push("error: " + e.message));
     page.on("request", (r) => { if (!r.url().startsWith(new URL(url).origin) && !/^(data|blob):/.test(r.url())) problems.push("the page asks for " + r.url()); });
   };
   watch(tab);
+  // What a phone does at a loss.
+  await tab.addInitScript(() => {
+    const alarms = window.alarms = { vibrated: 0, tones: 0 }, tone = AudioContext.prototype.createOscillator;
+    navigator.vibrate = () => { alarms.vibrated++; return true; };
+    AudioContext.prototype.createOscillator = function () { alarms.tones++; return tone.call(this); };
+  });
   await (await context.newCDPSession(tab)).send("Emulation.setCPUThrottlingRate", { rate: 3 });
   const shot = (name) => tab.screenshot({ path: path.join(folder, `${name}.png`) });
   const until = (what, test, argument) => tab.waitForFunction(test, argument, { timeout: PATIENCE, polling: 30 }).catch(() => problems.push("never: " + what));
   const state = (name) => until(`state ${name}`, (name) => document.getElementById("state").textContent === name, name);
 
+  // A stranger sees the pairing page; a wrong code is told.
+  const origin = new URL(url).origin, whole = (name) => tab.evaluate(() => document.documentElement.scrollWidth <= innerWidth)
+    .then((fits) => check(fits, `${name}: wider than the phone`));
+  await tab.goto(`${origin}/?code=abcdefghijkm`);
+  check((await tab.textContent("[role=alert]")).includes("wrong"), "a wrong code is told");
+  await accessible(tab, "pairing");
+  await whole("pairing");
+  expected.clear();
   await tab.goto(url);
   check(new URL(tab.url()).pathname === "/" && !tab.url().includes("code"), "the code stays in the address: " + tab.url());
   await state("ready");
   await accessible(tab, "ready");
+  await whole("ready");
   check(await tab.evaluate(() => Number(document.documentElement.dataset.surfels ?? 0) === 0), "a surface before there is a scan");
+  await tab.click("#alarm");
   await tab.click("#start");
   await state("scanning");
   await until("pictures move", () => Number(document.documentElement.dataset.picture) > 8);
@@ -51,6 +69,9 @@ async function accessible(tab, name) {
   await shot("scanning");
   // The loss may be over before a slow browser is asked.
   await until("a loss, with the picture to go back to", () => document.documentElement.dataset.wayBack !== undefined);
+  check(await tab.evaluate(() => document.getElementById("state").textContent !== "lost" || !document.getElementById("back").hidden),
+    "lost without the picture to go back to");
+  check(await tab.evaluate(() => window.alarms.vibrated > 0 && window.alarms.tones > 0), "a loss is neither felt nor heard");
   await shot("lost");
   await state("scanning");
   await until("the light so far", () => !document.getElementById("light").hidden);
@@ -68,6 +89,8 @@ async function accessible(tab, name) {
   check(still === await tab.evaluate(async () => (await (await fetch("/api/status")).json()).live.blocks[0]), "a paused scan grows");
   await tab.click("#pause");
   await state("scanning");
+  await tab.click("#discard");
+  await tab.click("#sure button[value=no]");
   await tab.fill("#name", "window sill");
   await tab.press("#name", "Enter");
   await until("the name", async () => (await (await fetch("/api/status")).json()).name === "window sill");
@@ -83,8 +106,24 @@ async function accessible(tab, name) {
   await tab.waitForTimeout(300);
   await accessible(tab, "scans");
   await shot("scans");
-  for (const id of ["box", "pair", "log"]) await tab.click(`#${id} > summary`);
+  // A question is asked first.
+  await tab.click(".card .danger");
+  await tab.click("#ask button[value=no]");
+  await tab.click(".card button >> text=Rename");
+  await tab.fill("#answer", "sill");
+  await tab.click("#yes");
+  await until("the new name", () => document.querySelector(".card h2")?.textContent === "sill");
+  await tab.selectOption(".card select", "draft");
+  await until("the scan estimated again", () => [...document.querySelectorAll(".card p")].some((p) => p.textContent === "Estimated again"));
+  for (const id of ["box", "pair", "diagnosis", "log"]) await tab.click(`#${id} > summary`);
+  await tab.click("#box details > summary");
   await until("the QR code", () => document.getElementById("qr").naturalWidth > 0);
+  await until("settings that may change", () => document.querySelectorAll("#settings input").length > 5);
+  await until("findings of the diagnosis", () => document.querySelectorAll("#findings tr").length > 5);
+  await until("log lines", () => document.getElementById("lines").textContent.includes("SIMULATED"));
+  await accessible(tab, "box");
+  await whole("box");
+  await tab.screenshot({ path: path.join(folder, "box.png"), fullPage: true });
   await tab.click(".card a.main");
   await tab.waitForSelector("#view", { timeout: PATIENCE });
   await tab.waitForTimeout(2000);

@@ -10,9 +10,10 @@ use fusion::Tracking;
 use glam::{DVec3, Vec3};
 use recordings::import::trajectory::read_trajectory;
 use recordings::import::tum::TumReader;
-use recordings::recording::Event;
+use recordings::recording::{Event, RecordingReader};
 use recordings::types::{ColorFrame, DepthFrame, Mesh, RgbdFrame, Sensor, TimestampNs};
 use std::collections::HashMap;
+use std::ops::Range;
 use std::path::Path;
 use tests::shared;
 
@@ -39,6 +40,40 @@ fn pairs(dir: &Path) -> (Sensor, Vec<Pair>) {
 
 fn decoded((depth, color): &Pair) -> RgbdFrame {
     RgbdFrame { depth: depth.clone(), color: color.clone(), rgb: color.decode().unwrap() }
+}
+
+/// The pairs of the bundled recording, which begins at rest.
+fn bundled() -> (Sensor, Vec<Pair>) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop.lrec");
+    let mut reader = RecordingReader::open(&path).unwrap();
+    let (mut depths, mut colors) = (Vec::new(), Vec::new());
+    while let Some(event) = reader.next_event().unwrap() {
+        match event {
+            Event::Depth(d) => depths.push(d),
+            Event::Color(c) => colors.push(c),
+            _ => {}
+        }
+    }
+    (reader.sensor().clone(), depths.into_iter().zip(colors).collect())
+}
+
+/// Fuses pairs, paused for some of them; what comes of it, and the blocks in use when the pause begins and when it ends.
+fn fuse_with_a_pause((sensor, pairs): &(Sensor, Vec<Pair>), pause: Range<usize>) -> (FusionOutput, [u64; 2]) {
+    // Coarse, for time.
+    let config = FusionConfig { voxel_size_m: 0.01, fine_blocks: 0, ..FusionConfig::default() };
+    let mut fusion = Fusion::new(sensor, &config).unwrap();
+    let mut blocks = [0; 2];
+    for (i, pair) in pairs.iter().enumerate() {
+        fusion.set_paused(pause.contains(&i));
+        let report = fusion.push(&decoded(pair)).unwrap();
+        if i + 1 == pause.start {
+            blocks = [report.blocks_used; 2];
+        }
+        if i + 1 == pause.end {
+            blocks[1] = report.blocks_used;
+        }
+    }
+    (fusion.finish(), blocks)
 }
 
 /// True camera centres by time in seconds.
@@ -109,6 +144,31 @@ fn doubled_on_purpose(mesh: &Mesh) -> f64 {
     let more = mesh.positions.iter().zip(&mesh.normals).filter(|(p, _)| (p.x * 10.0).floor() as i32 % 10 == 0);
     let (p, n): (Vec<Vec3>, Vec<Vec3>) = more.map(|(p, n)| (*p + *n * 0.02, *n)).unzip();
     doubled(&[&mesh.positions[..], &p].concat(), &[&mesh.normals[..], &n].concat())
+}
+
+#[test]
+fn a_pause_adds_nothing_and_does_not_tear_the_surface() {
+    let table = bundled();
+    let frames = table.1.len();
+    let (whole, _) = fuse_with_a_pause(&table, 0..0);
+    let (paused, blocks) = fuse_with_a_pause(&table, 20..40);
+    assert_eq!(blocks[0], blocks[1], "blocks in use before and after the pause");
+    assert_eq!(paused.trajectory.len(), frames, "tracked all the while");
+    let last = |o: &FusionOutput| o.trajectory.last().unwrap().1.translation;
+    let apart = last(&whole).distance(last(&paused));
+    let share = |o: &FusionOutput| doubled(&o.mesh.positions, &o.mesh.normals);
+    println!("{:.1} mm apart at the end; doubled: {:.4} and {:.4}", 1e3 * apart, share(&whole), share(&paused));
+    assert!(apart < 0.01, "{apart} m");
+    assert!(share(&paused) < share(&whole) + 0.01, "the surface is torn: {} against {}", share(&paused), share(&whole));
+}
+
+#[test]
+fn a_scan_that_is_paused_at_once_begins_when_it_goes_on() {
+    let table = bundled();
+    let frames = table.1.len();
+    let (output, _) = fuse_with_a_pause(&table, 0..10);
+    assert!(output.trajectory.len() + 10 >= frames, "{} of {frames} frames tracked", output.trajectory.len());
+    assert!(output.mesh.positions.len() > 1000, "{} vertices", output.mesh.positions.len());
 }
 
 #[test]

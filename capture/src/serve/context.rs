@@ -26,7 +26,7 @@ pub struct Context {
     pub orders: Orders,
     /// Device folder.
     pub device: PathBuf,
-    /// Settings.
+    /// Settings that the program was started with.
     pub config: Config,
     /// Those of the next scan, where they may change.
     pub live_config: Option<Arc<LiveConfig>>,
@@ -36,4 +36,12 @@ pub struct Context {
     pub jobs: Jobs,
     /// Files and picture of what is rendered.
     pub desk: Desk,
+}
+
+impl Context {
+    /// The settings as they are now.
+    #[must_use]
+    pub fn settings(&self) -> Config {
+        self.live_config.as_ref().map_or_else(|| self.config.clone(), |live| live.get())
+    }
 }

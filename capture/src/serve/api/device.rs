@@ -49,8 +49,8 @@ fn checked(context: &Context) -> std::io::Result<serde_json::Value> {
 /// `GET /api/settings`: every setting, and which of them may change while the box runs.
 pub fn settings(context: &Context) -> Response {
     let live = context.live_config.as_ref();
-    let config = live.map_or_else(|| context.config.clone(), |live| live.get());
-    let all: Vec<_> = config
+    let all: Vec<_> = context
+        .settings()
         .settings()
         .into_iter()
         .filter(|s| !s.tuning)

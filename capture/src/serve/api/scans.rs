@@ -109,7 +109,7 @@ pub fn estimate(context: &Context, id: &str, body: &[u8]) -> Response {
     if state.is_working() {
         return Response::error(409, &format!("the box is {state}; wait for it to be ready"));
     }
-    let work = Work::Estimate(folder, quality, context.config.daemon.budget_s);
+    let work = Work::Estimate(folder, quality, context.settings().daemon.budget_s);
     match context.jobs.start(id, || Ok(work)) {
         Ok(()) => Response::json(&serde_json::json!({ "ok": true })),
         Err(problem) => Response::error(409, &problem),

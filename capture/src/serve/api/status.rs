@@ -24,7 +24,7 @@ struct Full {
     live: Live,
     /// Name that the user gave to it.
     name: Option<String>,
-    /// Longest duration of a scan, seconds.
+    /// Longest duration of a scan that begins now, seconds.
     max_scan_s: f64,
     /// What the estimator does.
     step: Option<Step>,
@@ -42,7 +42,7 @@ fn full(context: &Context) -> Full {
         status,
         live: context.hub.live(),
         name: context.orders.name(),
-        max_scan_s: context.config.daemon.max_scan_s,
+        max_scan_s: context.settings().daemon.max_scan_s,
         step: context.reporter.current(),
         lumiscan: env!("CARGO_PKG_VERSION"),
     }

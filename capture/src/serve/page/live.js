@@ -23,7 +23,7 @@ function show() {
   $("start").disabled = state !== "ready";
   for (const id of ["pause", "stop", "discard"]) $(id).hidden = !scanning;
   $("pause").textContent = paused ? "Resume" : "Pause";
-  $("name").disabled = !scanning;
+  for (const id of ["naming", "name"]) $(id).hidden = !scanning;
   $("stage").classList.toggle("lost", lost);
 
   const share = scanning ? Math.round(100 * live.margin) : 0, meter = $("margin");
@@ -31,14 +31,14 @@ function show() {
   meter.className = share <= 1 ? "none" : share < 60 ? "low" : "";
   meter.firstElementChild.style.transform = `scaleX(${lost ? 1 : share / 100})`;
   const step = status.step && (state === "finishing" || state === "estimating")
-    ? `${status.step.stage}${status.step.fraction == null ? "" : ` ${Math.round(100 * status.step.fraction)} %`}` : "";
+    ? `Step: ${status.step.stage}${status.step.fraction == null ? "" : ` ${Math.round(100 * status.step.fraction)} %`}` : "";
   const advice = !scanning ? step : paused ? "Paused: nothing is added" : live.advice ?? "";
   if ($("advice").textContent !== advice) $("advice").textContent = advice;
 
   const message = {
     waiting: status.last_error ?? "Plug in the Kinect and its power supply",
-    ready: status.sensor ? `${status.sensor}\nis ready` : "Ready",
-    finishing: "Making the mesh", estimating: "Finding light and materials", done: status.last_scan ? "Published" : "Discarded",
+    ready: `${status.sensor ?? "The sensor"} is ready.\n\nStart, then move slowly around the scene, 0.5 to 3 m away, until all of it is teal.`,
+    finishing: "Making the mesh", estimating: "Finding light and materials", done: status.last_scan ? "The scan is finished" : "Discarded",
   }[state];
   $("message").hidden = scanning;
   $("message").textContent = message ?? "";
@@ -62,8 +62,8 @@ function figures() {
     ["voxel pool", total ? `${Math.round(100 * used / total)} %` : "–"],
     ["memory", bytes(status.memory_bytes)],
     ["disk left", bytes(status.disk_free_bytes)],
-    ["losses", live.losses],
-    ["dropped", drops.dropped_pairs],
+    ["times lost", live.losses],
+    ["pairs dropped", drops.dropped_pairs],
   ];
   $("figures").replaceChildren(...rows.flatMap(([k, v]) => [element("dt", { textContent: k }), element("dd", { textContent: v })]));
 }
@@ -142,6 +142,11 @@ async function pictures() {
 
 function draw() {
   if (!status || !shownPose) return;
+  // Where the camera is not known, neither is where anything stands in its picture.
+  if (wasLost) {
+    surface.blank();
+    return;
+  }
   surface.draw(status.live.camera, shownPose);
   object.draw(surface, light.light, status.live.camera, shownPose);
 }
@@ -201,7 +206,7 @@ for (const button of document.querySelectorAll("#show button")) {
 // A tap places the object on the surface.
 $("surface").onclick = (e) => {
   const camera = status?.live.camera, box = $("surface").getBoundingClientRect();
-  if (!camera || !shownPose) return;
+  if (!camera || !shownPose || wasLost) return;
   const { width, height } = camera.intrinsics, scale = Math.min(box.width / width, box.height / height);
   const u = (e.clientX - box.left - (box.width - scale * width) / 2) / scale - 0.5;
   const v = (e.clientY - box.top - (box.height - scale * height) / 2) / scale - 0.5;

@@ -7,7 +7,7 @@ const id = new URLSearchParams(location.search).get("scan") ?? "";
 const PIECE = 60000;
 
 $("viewer").src = `/scans/${encodeURIComponent(id)}/viewer.html`;
-$("name").textContent = id;
+fetch("/api/scans").then((answer) => answer.json()).then(({ scans }) => { $("name").textContent = scans.find((s) => s.id === id)?.name ?? id; });
 
 // What the viewer shows. It is a document of its own without rights: what it says is taken as figures only.
 function shown() {

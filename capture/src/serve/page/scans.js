@@ -36,7 +36,7 @@ function card(s, job) {
   const e = element("article", { className: "card", id: s.id });
   e.append(has("preview.png")
     ? element("img", { src: link("preview.png"), alt: `Preview of ${s.name}`, loading: "lazy" }) : element("div"));
-  const facts = [when(s.published), s.seconds == null ? "" : `${time(s.seconds)} min`, bytes(s.bytes),
+  const facts = [when(s.published), s.seconds == null ? "" : s.seconds < 60 ? `${Math.round(s.seconds)} s` : `${time(s.seconds)} min`, bytes(s.bytes),
     s.vertices == null ? "" : `${s.vertices} vertices, ${s.keyframes} keyframes`].filter(Boolean).join(" · ");
   const told = element("div", {}, element("h2", { textContent: s.name }), element("p", { textContent: facts }));
   const outcome = { failed: `No result: ${s.problem ?? "the estimator failed"}`, partial: `Partial result: ${s.problem ?? ""}`, skipped: "Not estimated" }[s.outcome];
@@ -112,7 +112,7 @@ opened("pair", async () => {
   $("qr").hidden = false;
 });
 opened("diagnosis", async () => {
-  rows("findings", [["Checking…"]]);
+  rows("findings", [["Checking: this takes some seconds"]]);
   const answer = await fetch("/api/check"), told = await answer.json();
   if (!answer.ok) throw new Error(told.error);
   rows("findings", told.map((f) => [f.verdict, f.what, [f.detail, f.remedy].filter(Boolean).join(": ")]));

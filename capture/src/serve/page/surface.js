@@ -159,6 +159,11 @@ export class Surface {
     gl.bufferData(gl.ARRAY_BUFFER, out, gl.DYNAMIC_DRAW);
   }
 
+  blank() {
+    this.gl?.clearColor(0, 0, 0, 0);
+    this.gl?.clear(this.gl.COLOR_BUFFER_BIT);
+  }
+
   // Draws from a camera: `camera` as /api/status has it, `pose` world_from_camera as 16 numbers, rows.
   draw(camera, pose) {
     const { gl, uniform } = this;
