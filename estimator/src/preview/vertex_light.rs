@@ -7,6 +7,7 @@ use crate::render::lighting::local_sources::LocalSources;
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 use recordings::decision::TransferLevel;
+use recordings::local_light::LightModel;
 use recordings::result::Estimate;
 
 /// Rays per vertex.
@@ -51,6 +52,10 @@ impl<'a> VertexLight<'a> {
 
     fn gathered(&self, i: usize, directions: &[Vec3]) -> Vec3 {
         let Self { result: r, scene, sources, .. } = self;
+        // No light in the result explains these colours: what arrives is what the albedo was found with.
+        if r.local_light.model == LightModel::Unexplained {
+            return r.lit_color[i] / r.albedo[i].max(Vec3::splat(f32::MIN_POSITIVE));
+        }
         let (position, normal) = (r.mesh.positions[i], r.mesh.normals[i]);
         let origin = scene.offset_origin(position, normal);
         // A turn of its own for every vertex trades bands of error for grain.
@@ -110,6 +115,17 @@ mod tests {
         let eye = Vec3::new(0.0, 0.0, 1.0);
         assert!((light.radiance(0, eye) - expected).length() < 1e-4, "{} {expected}", light.radiance(0, eye));
         assert_eq!(light.radiance(1, eye), Vec3::ZERO, "not asked for");
+    }
+
+    #[test]
+    fn colors_that_no_light_explains_are_shown_as_they_were() {
+        let mut result = tiny();
+        result.local_light.model = LightModel::Unexplained;
+        result.segments.iter_mut().for_each(|s| s.w_s = 0.0);
+        let scene = RayScene::new(&result.mesh);
+        let light = VertexLight::new(&result, &scene, &[true; 3]);
+        let off = light.radiance(1, Vec3::new(0.0, 0.0, 1.0)) - result.lit_color[1];
+        assert!(off.length() < 1e-5, "{off}");
     }
 
     #[test]
