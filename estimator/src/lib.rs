@@ -79,8 +79,7 @@ pub fn estimate_on(
 ) -> Result<Estimate, EstimateError> {
     let config = &budget::at_quality(config);
     let first = stages::first_answer(machine, scan, config, options, progress);
-    let mut run = Run::new(machine, scan, config, options, progress);
-    run.plan.after(first);
+    let mut run = Run::new(machine, scan, config, options, progress, first);
 
     // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
     let mut prepared = stages::prepare(scan, &mut run)?;
@@ -95,7 +94,7 @@ pub fn estimate_on(
     let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
 
     let mut early = Answer { found, gloss: vec![Gloss::NONE; prepared.segments] };
-    stages::hand_over(scan, &mut prepared, &mut early, &local_light, Milestone::Albedo, &mut run);
+    stages::hand_over(scan, &mut prepared, &mut early, &local_light, None, Milestone::Albedo, &mut run);
     let Answer { mut found, gloss: none } = early;
 
     // Glare of the lens, and §3.2 again: segments of like albedo are one material.
@@ -121,13 +120,14 @@ pub fn estimate_on(
     };
 
     stages::name_materials(&mut prepared, &mut answer, config);
-    stages::hand_over(scan, &mut prepared, &mut answer, &local_light, Milestone::Gloss, &mut run);
+    let light = stages::light(&prepared, &answer, local_light.model, config);
+    stages::hand_over(scan, &mut prepared, &mut answer, &local_light, Some(&light), Milestone::Gloss, &mut run);
     let texture = stages::texture(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);
 
     // Frames that no step used.
     let witnesses = stages::witnesses(&mut prepared, scan, &answer, &lit_with_gloss, texture.as_ref(), &mut run);
     run.plan.writing();
     progress.stage("done", 1.0);
-    let (estimate, _) = stages::result(scan, &mut prepared, answer, local_light, &run);
+    let (estimate, _) = stages::result(scan, &mut prepared, answer, local_light, light, &run);
     Ok(Estimate { witnesses, texture, ..estimate })
 }

@@ -58,8 +58,15 @@ pub struct Compared {
     pub texture: Option<TexturePrediction>,
 }
 
-/// One pixel, linear RGB: observed, predicted, veil of the observed.
-type Pixel = [[f64; 3]; 3];
+/// One pixel.
+struct Pixel {
+    /// Observed, 8 bits.
+    seen: [u8; 3],
+    /// Predicted, linear RGB.
+    predicted: [f64; 3],
+    /// Veil of the observed, linear RGB.
+    veil: [f64; 3],
+}
 
 /// Compares one validation frame with the model; `None` if its picture cannot be decoded.
 #[must_use]
@@ -78,6 +85,8 @@ pub fn compare(
     let still = |pose: &Pose| from(MovingCamera::still(pose, &picture.camera));
     let mut rendered = still(&tracked);
     let mut found = rendered.pixels(model, lit);
+    let psnr = |pixels: &[Pixel]| psnr(pixels, &context.table);
+    let gains = |pixels: &[Pixel]| gains(pixels, &context.table);
     let tracked_psnr_db = [psnr(&found), psnr(&rendered.pixels(model, modelled))];
     let mut view = RefinedView { world_from_camera: tracked, gain: gains(&found), residual_px: 0.0 };
     if config.refine_poses != Switch::Off {
@@ -97,11 +106,12 @@ pub fn compare(
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
     let own = Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model };
+    let lit_psnr_db = psnr(&found);
     let texture = model.detail.map(|_| {
         let vertices = Model { detail: None, ..*model };
         TexturePrediction {
             vertices_psnr_db: psnr(&rendered.pixels(&vertices, lit)),
-            psnr_db: psnr(&found),
+            psnr_db: lit_psnr_db,
             vertices_sharpness: rendered.sharpness(&vertices, view.gain),
             sharpness: rendered.sharpness(model, view.gain),
         }
@@ -109,7 +119,7 @@ pub fn compare(
     let compared = (picture.camera.width as usize).div_ceil(stride) * (picture.camera.height as usize).div_ceil(stride);
     let error = WitnessError {
         name: frame.name.clone(),
-        lit_psnr_db: psnr(&found),
+        lit_psnr_db,
         model_psnr_db: psnr(&rendered.pixels(model, modelled)),
         coverage: if compared > 0 { found.len() as f64 / compared as f64 } else { 0.0 },
     };
@@ -196,9 +206,9 @@ impl<'a> Rendered<'a> {
         let rows: Vec<usize> = (0..height).step_by(stride).collect();
         let pixel = |(x, y): (usize, usize)| {
             let predicted = predicted(model, &self.at(x, y)?)?;
-            let seen = picture.bytes(x, y).map(|b| f64::from(self.context.table[b as usize]));
+            let seen = picture.bytes(x, y);
             let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
-            Some([seen, predicted, veil])
+            Some(Pixel { seen, predicted, veil })
         };
         rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
     }
@@ -332,25 +342,27 @@ fn modelled(model: &Model, at: &SurfacePoint) -> Option<[f64; 3]> {
     Some(modelled)
 }
 
-/// Median exposure gain per channel over the pixels that are neither dark nor clipped.
-fn gains(pixels: &[Pixel]) -> [f64; 3] {
+/// Median exposure gain per channel over the pixels that are neither dark nor clipped. `table` maps 8-bit values to linear light.
+fn gains(pixels: &[Pixel], table: &[f32; 256]) -> [f64; 3] {
     [0, 1, 2].map(|c| {
+        let seen = |p: &Pixel| f64::from(table[p.seen[c] as usize]);
         let ratios = pixels
             .iter()
-            .filter(|p| p[1][c] > 1e-6 && p[0][c] > 0.004 && p[0][c] < 0.95)
-            .map(|p| (p[0][c] - p[2][c]) / p[1][c]);
+            .filter(|p| p.predicted[c] > 1e-6 && seen(p) > 0.004 && seen(p) < 0.95)
+            .map(|p| (seen(p) - p.veil[c]) / p.predicted[c]);
         median(ratios).unwrap_or(1.0)
     })
 }
 
-/// PSNR in 8-bit sRGB after one fitted exposure gain per channel.
-fn psnr(pixels: &[Pixel]) -> f64 {
+/// PSNR in 8-bit sRGB after one fitted exposure gain per channel. `table` maps 8-bit values to linear light.
+fn psnr(pixels: &[Pixel], table: &[f32; 256]) -> f64 {
     if pixels.is_empty() {
         return 0.0;
     }
-    let gain = gains(pixels);
+    let gain = gains(pixels, table);
     let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
-    let off = |p: &Pixel, c: usize| srgb(gain[c] * p[1][c] + p[2][c]) - srgb(p[0][c]);
+    let seen = table.map(|x| srgb(f64::from(x)));
+    let off = |p: &Pixel, c: usize| srgb(gain[c] * p.predicted[c] + p.veil[c]) - seen[p.seen[c] as usize];
     let square: f64 = pixels.iter().flat_map(|p| [0, 1, 2].map(|c| off(p, c).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // 8 bits cannot show less than the variance of their rounding.

@@ -2,7 +2,7 @@
 
 #![allow(clippy::expect_used, reason = "these are tests")]
 
-use estimator::budget::{Machine, Plan};
+use estimator::budget::{Done, Machine, Plan};
 use estimator::estimate_on;
 use estimator::stages::Run;
 use estimator::{Options, Progress};
@@ -139,8 +139,9 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
         reference: None,
         memory_mb: None,
     };
-    let has_gloss =
-        |milliseconds| Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size).workload().specular;
+    let has_gloss = |milliseconds| {
+        Plan::new(&Simulated::new(0.2, &[]), &options(milliseconds), &config, size, Done::default()).workload().specular
+    };
     // The most time that gloss is not planned for; then no round of pose refinement is asked for, which was planned.
     let (mut cut, mut kept) = (1_000, 60_000);
     while kept - cut > 100 {
@@ -149,7 +150,7 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
     }
     let machine = Simulated::new(0.2, &[]);
     let options = options(cut);
-    let mut plan = Plan::new(&machine, &options, &config, size);
+    let mut plan = Plan::new(&machine, &options, &config, size, Done::default());
     let is_cut = |plan: &Plan| plan.cuts().iter().any(|c| matches!(c, Cut::Planned { what: Reduction::Specular, .. }));
     assert!(is_cut(&plan), "{:?}", plan.cuts());
     plan.mesh_done(scan.mesh.positions.len());
@@ -163,7 +164,7 @@ fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);
     let options = Options { budget: Duration::from_secs(40), rounds: None, reference: None, memory_mb: None };
-    let mut plan = Plan::new(&machine, &options, &config, Run::size(&scan, &config));
+    let mut plan = Plan::new(&machine, &options, &config, Run::size(&scan, &config), Done::default());
     let stall = |seconds: f64| *machine.now.lock().expect("nobody panicked") += seconds;
     let watch = plan.watch_rays(64);
     assert!(watch(0.1), "all is well");

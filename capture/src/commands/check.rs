@@ -11,7 +11,7 @@ use crate::memory;
 use crate::sources::sensor;
 use estimator::Options;
 use estimator::budget::cost_model::Size;
-use estimator::budget::{Plan, WallClock, at_quality};
+use estimator::budget::{Done, Plan, WallClock, at_quality};
 use firmware_config::kinect_models::{MAX_ISO_PACKET, PACKETS_PER_TRANSFER, TRANSFERS};
 use firmware_config::{Config, memory_plan};
 use serde::Serialize;
@@ -268,7 +268,7 @@ fn speed(config: &Config) -> Finding {
         reference: None,
         memory_mb: None,
     };
-    let plan = Plan::new(&clock, &options, &at_quality(&config.estimator), TYPICAL_SCAN);
+    let plan = Plan::new(&clock, &options, &at_quality(&config.estimator), TYPICAL_SCAN, Done::default());
     let verdict = if plan.cuts().is_empty() { Verdict::Ok } else { Verdict::Warning };
     let detail = format!(
         "light and materials of {:.0} vertices and {:.0} keyframes need about {:.0} s, daemon.budget_s allows {:.0}",

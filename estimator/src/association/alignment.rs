@@ -8,6 +8,7 @@ use crate::association::predicted_image::{ImageLevel, PredictedImage};
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::PoseTuning;
 use glam::{DVec3, Vec3};
+use isa::{Hot, Isa, dispatch};
 use nalgebra::{SMatrix, SVector};
 use recordings::types::{Intrinsics, Pose};
 
@@ -236,25 +237,11 @@ impl Problem<'_> {
 
     /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.
     fn gauss_newton_step(&self, now: &Compared, moved: &Motion) -> Option<(Motion, f64)> {
-        let (mut hessian, mut gradient, mut motion) = (Matrix6::zeros(), Motion::zeros(), Matrix6::zeros());
         let scale = self.robust_scale(&now.residuals)?;
-        for &Seen { index, point, difference } in &now.seen {
-            let x = f64::from(now.residuals[index as usize]) / (scale * TUKEY);
-            if x.is_nan() || x >= 1.0 {
-                continue;
-            }
-            let weight = (1.0 - x * x) * (1.0 - x * x);
-            let p = &self.pixels[index as usize];
-            let (ju, jv) = jacobian(point, &self.target.camera);
-            let (uu, uv, vv) = (p.du.dot(p.du), p.du.dot(p.dv), p.dv.dot(p.dv));
-            let (gu, gv) = (p.du.dot(difference), p.dv.dot(difference));
-            let (uu, uv, vv) = (f64::from(uu) * weight, f64::from(uv) * weight, f64::from(vv) * weight);
-            let (gu, gv) = (f64::from(gu) * weight, f64::from(gv) * weight);
-            let (a, b) = (ju * uu + jv * uv, ju * uv + jv * vv);
-            hessian += a * ju.transpose() + b * jv.transpose();
-            gradient += ju * gu + jv * gv;
-            motion += ju * ju.transpose() + jv * jv.transpose();
-        }
+        let sums = dispatch(Isa::detect(), Summed { problem: self, now, scale });
+        let matrix = |columns: [Row; 6]| Matrix6::from_fn(|r, c| columns[c][r]);
+        let (mut hessian, motion) = (matrix(sums.hessian), matrix(sums.motion));
+        let mut gradient = Motion::from_fn(|r, _| sums.gradient[r]);
         // Residuals of neighbouring pixels are correlated.
         let information = 1.0 / (scale * scale * self.tuning.pixels_per_observation);
         hessian *= information;
@@ -285,7 +272,69 @@ impl Problem<'_> {
     }
 }
 
+/// Six numbers and two zeros, as wide as the widest registers.
+type Row = [f64; 8];
+
+#[inline(always)]
+fn row(j: &Motion) -> Row {
+    [j[0], j[1], j[2], j[3], j[4], j[5], 0.0, 0.0]
+}
+
+/// Sums over the edge pixels: Σ w Jᵀ ∇I ∇Iᵀ J, Σ w Jᵀ ∇I d and Σ Jᵀ J, matrices by columns.
+#[derive(Default)]
+struct NormalSums {
+    hessian: [Row; 6],
+    gradient: Row,
+    motion: [Row; 6],
+}
+
+/// What the edge pixels sum up to.
+struct Summed<'a> {
+    problem: &'a Problem<'a>,
+    now: &'a Compared,
+    scale: f64,
+}
+
+impl Hot for Summed<'_> {
+    type Output = NormalSums;
+
+    #[inline(always)]
+    fn run(self) -> NormalSums {
+        let Self { problem, now, scale } = self;
+        let NormalSums { mut hessian, mut gradient, mut motion } = NormalSums::default();
+        for &Seen { index, point, difference } in &now.seen {
+            let x = f64::from(now.residuals[index as usize]) / (scale * TUKEY);
+            if x.is_nan() || x >= 1.0 {
+                continue;
+            }
+            let weight = (1.0 - x * x) * (1.0 - x * x);
+            let p = &problem.pixels[index as usize];
+            let (ju, jv) = jacobian(point, &problem.target.camera);
+            let (ju, jv) = (row(&ju), row(&jv));
+            let (uu, uv, vv) = (p.du.dot(p.du), p.du.dot(p.dv), p.dv.dot(p.dv));
+            let (gu, gv) = (p.du.dot(difference), p.dv.dot(difference));
+            let (uu, uv, vv) = (f64::from(uu) * weight, f64::from(uv) * weight, f64::from(vv) * weight);
+            let (gu, gv) = (f64::from(gu) * weight, f64::from(gv) * weight);
+            let (mut a, mut b) = (Row::default(), Row::default());
+            for r in 0..8 {
+                (a[r], b[r]) = (ju[r] * uu + jv[r] * uv, ju[r] * uv + jv[r] * vv);
+            }
+            for c in 0..6 {
+                for r in 0..8 {
+                    hessian[c][r] += a[r] * ju[c] + b[r] * jv[c];
+                    motion[c][r] += ju[r] * ju[c] + jv[r] * jv[c];
+                }
+            }
+            for r in 0..8 {
+                gradient[r] += ju[r] * gu + jv[r] * gv;
+            }
+        }
+        NormalSums { hessian, gradient, motion }
+    }
+}
+
 /// Derivatives of (u, v) by a [`Motion`] of the point q in the camera's frame.
+#[inline(always)]
 pub fn jacobian(q: DVec3, k: &Intrinsics) -> (Motion, Motion) {
     let (fx, fy) = (k.fx, k.fy);
     let (x, y, z) = (q.x / q.z, q.y / q.z, 1.0 / q.z);

@@ -81,8 +81,9 @@ impl ProjectedVertex {
         let (w, h) = (i64::from(raster.camera.width), i64::from(raster.camera.height));
         let (x, y) = ((self.u + 0.5).floor() as i64, (self.v + 0.5).floor() as i64);
         let reach = i64::from(rules.edge_pixels);
-        for dy in [-reach, 0, reach] {
-            for dx in [-reach, 0, reach] {
+        // What is hidden mostly is so at its own pixel.
+        for dy in [0, -reach, reach] {
+            for dx in [0, -reach, reach] {
                 let (px, py) = (x + dx, y + dy);
                 if px < 0 || py < 0 || px >= w || py >= h {
                     return false;

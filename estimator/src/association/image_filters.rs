@@ -4,45 +4,50 @@ use glam::Vec3;
 
 /// Grows a mask by `radius` pixels along both axes.
 pub fn dilated(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
-    separable(mask, w, h, radius, |window| window.iter().any(|&m| m))
+    separable(mask, w, h, radius, |a, b| a | b)
 }
 
 /// Smallest value within `radius` pixels along both axes.
 pub fn min_filtered(image: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
-    separable(image, w, h, radius, |window| window.iter().copied().fold(f32::INFINITY, f32::min))
+    separable(image, w, h, radius, f32::min)
 }
 
-/// Applies `filter` to the window of `radius` pixels around every pixel, along rows, then along columns. Windows end at the
-/// border.
-fn separable<T: Copy>(image: &[T], w: usize, h: usize, radius: usize, filter: impl Fn(&[T]) -> T) -> Vec<T> {
-    let mut out = image.to_vec();
-    let mut pass = |start: usize, stride: usize, n: usize| {
-        let line: Vec<T> = (0..n).map(|k| out[start + k * stride]).collect();
-        for k in 0..n {
-            out[start + k * stride] = filter(&line[k.saturating_sub(radius)..(k + radius + 1).min(n)]);
+/// Joins the pixels within `radius` of every pixel, along rows, then along columns, by what does not mind how often it meets one.
+/// Windows end at the border.
+fn separable<T: Copy>(image: &[T], w: usize, h: usize, radius: usize, join: impl Fn(T, T) -> T) -> Vec<T> {
+    let join_all = |out: &mut [T], other: &[T]| out.iter_mut().zip(other).for_each(|(o, x)| *o = join(*o, *x));
+    let mut rows = image.to_vec();
+    for (row, source) in rows.chunks_exact_mut(w).zip(image.chunks_exact(w)) {
+        for shift in 1..(radius + 1).min(w) {
+            join_all(&mut row[shift..], source);
+            join_all(&mut *row, &source[shift..]);
         }
-    };
-    (0..h).for_each(|y| pass(y * w, 1, w));
-    (0..w).for_each(|x| pass(x, w, h));
+    }
+    let mut out = rows.clone();
+    for shift in 1..(radius + 1).min(h) {
+        join_all(&mut out[shift * w..], &rows);
+        join_all(&mut out, &rows[shift * w..]);
+    }
     out
 }
 
 /// Binomial 3 × 3 mean; NaN spreads to the neighbours, and the border is NaN.
 pub fn binomial(image: &[Vec3], w: usize, h: usize) -> Vec<Vec3> {
-    let mut rows = vec![Vec3::NAN; w * h];
-    for y in 0..h {
-        for x in 1..w.saturating_sub(1) {
-            let i = y * w + x;
-            rows[i] = 0.25 * (image[i - 1] + image[i + 1]) + 0.5 * image[i];
-        }
+    let (mut rows, mut out) = (vec![Vec3::NAN; w * h], vec![Vec3::NAN; w * h]);
+    if w < 3 || h < 3 {
+        return out;
     }
-    let mut out = vec![Vec3::NAN; w * h];
-    for y in 1..h.saturating_sub(1) {
-        for x in 0..w {
-            let i = y * w + x;
-            out[i] = 0.25 * (rows[i - w] + rows[i + w]) + 0.5 * rows[i];
+    let mean = |out: &mut [Vec3], before: &[Vec3], middle: &[Vec3], after: &[Vec3]| {
+        let [before, middle, after]: [&[f32]; 3] = [before, middle, after].map(bytemuck::cast_slice);
+        let out: &mut [f32] = bytemuck::cast_slice_mut(out);
+        for (((o, a), b), c) in out.iter_mut().zip(before).zip(middle).zip(after) {
+            *o = 0.25 * (a + c) + 0.5 * b;
         }
+    };
+    for (out, row) in rows.chunks_exact_mut(w).zip(image.chunks_exact(w)) {
+        mean(&mut out[1..w - 1], row, &row[1..], &row[2..]);
     }
+    mean(&mut out[w..(h - 1) * w], &rows, &rows[w..], &rows[2 * w..]);
     out
 }
 

@@ -56,14 +56,16 @@ impl KeyframeImage {
         }
         let mut sum = [0.0_f32; 3];
         let (mut total, mut squares, mut brightest) = (0.0_f32, 0.0_f32, 0_u8);
+        let (first, end) = (left as usize, right as usize + 1);
         for y in top as usize..=bottom as usize {
             let wy = (radius - (y as f64 - v).abs()).max(0.0);
-            for x in left as usize..=right as usize {
+            let row = &self.data[3 * y * self.camera.width as usize..];
+            let (row, _) = row[3 * first..3 * end].as_chunks::<3>();
+            for (x, value) in (first..).zip(row) {
                 let weight = (wy * (radius - (x as f64 - u).abs()).max(0.0)) as f32;
                 if weight <= 0.0 {
                     continue;
                 }
-                let value = self.bytes(x, y);
                 brightest = brightest.max(value[0]).max(value[1]).max(value[2]);
                 for c in 0..3 {
                     sum[c] += weight * table[value[c] as usize];

@@ -67,12 +67,13 @@ impl PoseRefiner {
             _ => &[1.0],
         };
         let filled = fill(context, &lit.color, &lit.weight);
+        let own = of_keyframes(field, views.len());
         let deviation = self.hold_runaways(&context.config.tuning.pose);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
             .into_par_iter()
             .map(|j| {
                 let image = images[j].as_ref()?;
-                let colors = without_own(field, lit, &filled, views, j);
+                let colors = without_own(field, lit, &filled, &views[j], &own[j]);
                 let rotation_alone = self.turns_from.map(|_| &PoseDeviation::ROTATION_ALONE);
                 let held = rotation_alone.or(deviation.as_ref().filter(|_| self.held[j]));
                 let mut total: Option<Alignment> = None;
@@ -195,20 +196,26 @@ fn fill(context: &AssociationContext, color: &[Vec3], weight: &[f32]) -> Vec<Vec
     colors.into_iter().map(|c| c.unwrap_or(Vec3::NAN)).collect()
 }
 
-/// The colours without keyframe `j`'s own observations; NaN where no other keyframe saw the vertex.
-fn without_own(field: &LightField, lit: &LitColors, filled: &[Vec3], views: &[RefinedView], j: usize) -> Vec<Vec3> {
+/// Numbers of the observations of every keyframe.
+fn of_keyframes(field: &LightField, keyframes: usize) -> Vec<Vec<u32>> {
+    let mut own = vec![Vec::new(); keyframes];
+    (0u32..).zip(&field.observations).for_each(|(n, o)| own[o.keyframe as usize].push(n));
+    own
+}
+
+/// The colours without a keyframe's `own` observations; NaN where no other keyframe saw the vertex.
+fn without_own(field: &LightField, lit: &LitColors, filled: &[Vec3], view: &RefinedView, own: &[u32]) -> Vec<Vec3> {
     let mut colors = filled.to_vec();
-    let factor = Vec3::from_array(views[j].gain.map(|g| (1.0 / g) as f32));
-    for (o, &used) in field.observations.iter().zip(&lit.used) {
-        if o.keyframe as usize == j {
-            let i = o.vertex as usize;
-            let rest = lit.weight[i] - used;
-            colors[i] = if rest > MIN_REST * lit.weight[i] {
-                (lit.color[i] * lit.weight[i] - Vec3::from_array(o.color) * factor * used) / rest
-            } else {
-                Vec3::NAN
-            };
-        }
+    let factor = Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32));
+    for &n in own {
+        let (o, used) = (&field.observations[n as usize], lit.used[n as usize]);
+        let i = o.vertex as usize;
+        let rest = lit.weight[i] - used;
+        colors[i] = if rest > MIN_REST * lit.weight[i] {
+            (lit.color[i] * lit.weight[i] - Vec3::from_array(o.color) * factor * used) / rest
+        } else {
+            Vec3::NAN
+        };
     }
     colors
 }

@@ -45,9 +45,16 @@ pub struct Plan<'a> {
 }
 
 impl<'a> Plan<'a> {
-    /// Measures the machine and plans all stages. With rounds given, no clock is read.
+    /// Measures the machine and plans all stages. Work that was done `before` tells more of the machine than the probe. With rounds
+    /// given, no clock is read.
     #[must_use]
-    pub fn new(machine: &'a dyn Machine, options: &Options, config: &EstimatorConfig, size: Size) -> Self {
+    pub fn new(
+        machine: &'a dyn Machine,
+        options: &Options,
+        config: &EstimatorConfig,
+        size: Size,
+        before: Done,
+    ) -> Self {
         let mut full = Workload::full(config, options.rounds);
         let tuning = config.tuning.budget.clone();
         let budget = if options.rounds.is_some() { f64::INFINITY } else { options.budget.as_secs_f64() };
@@ -64,17 +71,17 @@ impl<'a> Plan<'a> {
             size,
             tuning,
             probe,
-            before: 0.0,
+            before: before.seconds,
             stands: false,
-            work: 0.0,
+            work: before.reference_seconds,
             full,
             workload: full,
             planned,
             fixed,
         };
         if budget.is_finite() {
-            plan.probe = probe::probe(machine, full.all(&size), budget, &plan.tuning);
-            tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.probe.speed);
+            plan.probe = probe::probe(machine, full.all(&size), budget, before.seconds, &plan.tuning);
+            tracing::debug!("planning for a machine {:.2} times as fast as the reference", plan.speed());
             let found = plan.fitting(full, |w| w.all(&size));
             plan.adopt(found);
         }
@@ -97,16 +104,6 @@ impl<'a> Plan<'a> {
     #[must_use]
     pub fn needed_seconds(&self) -> f64 {
         self.full.all(&self.size) / self.speed()
-    }
-
-    /// Plans again with what was done before: it tells more of the machine than the probe.
-    pub fn after(&mut self, first: Done) {
-        if self.budget.is_finite() {
-            self.work += first.reference_seconds;
-            self.before = first.seconds;
-            let found = self.fitting(self.full, |w| w.all(&self.size));
-            self.adopt(found);
-        }
     }
 
     /// True if an answer that stands is worth its writing; reports that as work.

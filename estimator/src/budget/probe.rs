@@ -24,8 +24,9 @@ pub(super) struct Probe {
 }
 
 /// Runs slices of work until the speed is known. `needed` are the reference seconds of the whole run, `budget` seconds of the
-/// clock. The longest slice is ignored, as a machine may stall once; recurrent stalls are part of its speed.
-pub(super) fn probe(machine: &dyn Machine, needed: f64, budget: f64, tuning: &BudgetTuning) -> Probe {
+/// clock, `measured` those of work that was done before and tells of the machine, too. The longest slice is ignored, as a machine
+/// may stall once; recurrent stalls are part of its speed.
+pub(super) fn probe(machine: &dyn Machine, needed: f64, budget: f64, measured: f64, tuning: &BudgetTuning) -> Probe {
     let (mut slices, mut spent, mut longest, mut second) = (0, 0.0, 0.0f64, 0.0f64);
     let mut before = machine.now();
     loop {
@@ -46,7 +47,7 @@ pub(super) fn probe(machine: &dyn Machine, needed: f64, budget: f64, tuning: &Bu
         let steady = (spent - ignored).max(1e-9);
         let speed = f64::from(slices - 1) * SLICE_SECONDS / steady;
         let enough = needed < tuning.clearly_enough_share * speed * (budget - now);
-        if enough || steady >= tuning.probe_share * budget {
+        if enough || measured + steady >= tuning.probe_share * budget {
             return Probe { speed, end: now };
         }
     }

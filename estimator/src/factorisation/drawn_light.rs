@@ -88,7 +88,7 @@ fn strongest(
         let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, projection);
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
-    let tried = WEIGHTS.map(trial);
+    let tried: Vec<_> = WEIGHTS.into_par_iter().map(trial).collect();
     let most = (1.0 + MOST_RISE) * (1.0 + MOST_RISE) * tried[WEIGHTS.len() - 1].1;
     let held_out = tried.iter().map(|t| (t.0, libm::sqrt(t.1))).collect();
     let (weight, _, states) = tried.into_iter().find(|t| t.1 <= most)?;

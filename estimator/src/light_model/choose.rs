@@ -266,7 +266,8 @@ impl<'a> Choice<'a> {
 
     /// The model with the strongest regularisation that a weaker one does not beat.
     fn regularised(&self, model: Model) -> Model {
-        let tried = REGULARISATIONS.map(|r| self.solved(&model.emitters, &model.lamps, r));
+        let tried: Vec<Model> =
+            REGULARISATIONS.par_iter().map(|r| self.solved(&model.emitters, &model.lamps, *r)).collect();
         let kept = tried.into_iter().reduce(|best, next| {
             if mean(&next.blocks) < mean(&best.blocks) * (1.0 - WORTHWHILE) { next } else { best }
         });
@@ -301,8 +302,9 @@ impl<'a> Choice<'a> {
                 emitters.push(p);
                 solved(&emitters, &best.lamps)
             };
-            let others = (0..self.unseen).filter(|p| !best.emitters.contains(p));
-            let next = others.map(with).min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
+            let others: Vec<usize> = (0..self.unseen).filter(|p| !best.emitters.contains(p)).collect();
+            let tried: Vec<Model> = others.into_par_iter().map(with).collect();
+            let next = tried.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
             let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
             best = next;
         }
@@ -346,7 +348,7 @@ impl<'a> Choice<'a> {
             let lamps: Vec<Sphere> = model.lamps.iter().copied().chain([sphere(center)]).collect();
             self.solved(&model.emitters, &lamps, REGULARISATION)
         };
-        let (near, distant) = (solved(center), solved(far));
+        let (near, distant) = rayon::join(|| solved(center), || solved(far));
         is_better(&near.blocks, &distant.blocks).then_some(near)
     }
 

@@ -44,14 +44,27 @@ impl Raster {
             (camera.fx * p.x * inverse + camera.cx, camera.fy * p.y * inverse + camera.cy, inverse)
         };
         let projected: Vec<(f64, f64, f64)> = points.iter().map(|p| project(*p)).collect();
+        let pixels = points.iter().zip(&projected);
+        let pixels: Vec<Pixels> =
+            pixels.map(|(p, at)| if p.z > near { Pixels::of(*at) } else { Pixels::BEHIND }).collect();
         for (index, corners) in triangles.iter().enumerate() {
-            let [a, b, c] = corners.map(|i| points[i as usize]);
-            if a.z > near && b.z > near && c.z > near {
-                raster.fill(index as u32, corners.map(|i| projected[i as usize]));
-            } else if a.z > near || b.z > near || c.z > near {
-                let polygon = clip_near([a, b, c], near);
+            let [a, b, c] = corners.map(|i| pixels[i as usize]);
+            if [a, b, c].iter().all(|p| p.first[0] != Pixels::BEHIND.first[0]) {
+                // Most triangles are smaller than a pixel, or outside.
+                if let Some(pixels) = a.and(b).and(c).within(camera) {
+                    raster.fill(index as u32, corners.map(|i| projected[i as usize]), pixels);
+                }
+                continue;
+            }
+            let corners = corners.map(|i| points[i as usize]);
+            if corners.iter().any(|p| p.z > near) {
+                let polygon = clip_near(corners, near);
                 for i in 2..polygon.len() {
-                    raster.fill(index as u32, [polygon[0], polygon[i - 1], polygon[i]].map(project));
+                    let corners = [polygon[0], polygon[i - 1], polygon[i]].map(project);
+                    let [a, b, c] = corners.map(Pixels::of);
+                    if let Some(pixels) = a.and(b).and(c).within(camera) {
+                        raster.fill(index as u32, corners, pixels);
+                    }
                 }
             }
         }
@@ -59,13 +72,8 @@ impl Raster {
     }
 
     /// Corners are (u, v, 1/depth).
-    fn fill(&mut self, index: u32, [a, b, c]: [(f64, f64, f64); 3]) {
+    fn fill(&mut self, index: u32, [a, b, c]: [(f64, f64, f64); 3], pixels: Pixels) {
         let k = &self.camera;
-        let (left, right) = span(a.0.min(b.0).min(c.0), a.0.max(b.0).max(c.0), k.width);
-        let (top, bottom) = span(a.1.min(b.1).min(c.1), a.1.max(b.1).max(c.1), k.height);
-        if left >= right || top >= bottom {
-            return;
-        }
         let area = (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
         // Written so that NaN fails too.
         if !(area.abs() > 1e-12 && area.is_finite()) {
@@ -73,6 +81,7 @@ impl Raster {
         }
         let width = k.width as usize;
         let scale = 1.0 / area;
+        let ([left, top], [right, bottom]) = (pixels.first.map(|p| p as usize), pixels.end.map(|p| p as usize));
         for y in top..bottom {
             let v = y as f64;
             for x in left..right {
@@ -112,13 +121,39 @@ impl Raster {
     }
 }
 
-/// Range of pixels with centres in `low..=high`, clamped to `0..size`.
-fn span(low: f64, high: f64, size: u32) -> (usize, usize) {
-    // Casts truncate and saturate, so values far outside the image are harmless; for positive values, ceil(x) is
-    // trunc(x + 1 − tiny) and floor(x) is trunc(x).
-    let first = (low + (1.0 - 1e-6)).max(0.0) as usize;
-    let end = (high + (1.0 + 1e-6)).max(0.0) as usize;
-    (first, end.min(size as usize))
+/// Pixels with centres between points, columns and rows.
+#[derive(Debug, Clone, Copy)]
+struct Pixels {
+    first: [u32; 2],
+    end: [u32; 2],
+}
+
+impl Pixels {
+    /// Of a point that is not in front of the camera. One that is very far to the side may have the same.
+    const BEHIND: Self = Self { first: [u32::MAX; 2], end: [0; 2] };
+
+    /// Of one point (u, v, 1/depth).
+    fn of((u, v, _): (f64, f64, f64)) -> Self {
+        // Casts truncate and saturate, so values far outside the image are harmless; for positive values, ceil(x) is
+        // trunc(x + 1 − tiny) and floor(x) is trunc(x).
+        let first = |x: f64| (x + (1.0 - 1e-6)).max(0.0) as u32;
+        let end = |x: f64| (x + (1.0 + 1e-6)).max(0.0) as u32;
+        Self { first: [first(u), first(v)], end: [end(u), end(v)] }
+    }
+
+    fn and(self, other: Self) -> Self {
+        let (a, b) = (self, other);
+        Self {
+            first: [a.first[0].min(b.first[0]), a.first[1].min(b.first[1])],
+            end: [a.end[0].max(b.end[0]), a.end[1].max(b.end[1])],
+        }
+    }
+
+    /// Those of a picture; `None` if there are none.
+    fn within(self, camera: &Intrinsics) -> Option<Self> {
+        let end = [self.end[0].min(camera.width), self.end[1].min(camera.height)];
+        (self.first[0] < end[0] && self.first[1] < end[1]).then_some(Self { end, ..self })
+    }
 }
 
 fn clip_near(corners: [DVec3; 3], near: f64) -> Vec<DVec3> {

@@ -5,8 +5,9 @@ use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Rows and columns of a product that are summed in registers.
+/// Rows and columns of a product that are summed in registers, as many as each instruction set has room for.
 const TILE: usize = 4;
+const TALL: usize = 8;
 /// Columns of a product that one task takes, at least.
 const TASK: usize = 80;
 /// Partial sums of [`dot`].
@@ -15,78 +16,91 @@ const LANES: usize = 8;
 /// `a · b`.
 #[must_use]
 pub fn product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
-    tiles(a, b, |_, _| true)
+    some(a, b, false)
 }
 
 /// The upper triangle of `a · b` with the diagonal; what is below may be missing.
 #[must_use]
 pub fn upper_product(a: &DMatrix<f64>, b: &DMatrix<f64>) -> DMatrix<f64> {
-    tiles(a, b, |row, column| row < column + TILE)
+    some(a, b, true)
 }
 
-/// The tiles of `a · b` that are `wanted` by their first row and column.
-fn tiles(a: &DMatrix<f64>, b: &DMatrix<f64>, wanted: impl Fn(usize, usize) -> bool + Sync + Copy) -> DMatrix<f64> {
-    let (rows, columns) = (a.nrows(), b.ncols());
-    if rows < TILE || columns < TILE {
-        return a * b;
+/// `a · b`, or its `upper` triangle alone.
+fn some(a: &DMatrix<f64>, b: &DMatrix<f64>, upper: bool) -> DMatrix<f64> {
+    let isa = Isa::detect();
+    let fit = |rows: usize, columns: usize| a.nrows() >= rows && b.ncols() >= columns;
+    match isa {
+        Isa::Avx512 if fit(TALL, TALL) => tiles::<TALL, TALL>(isa, a, b, upper),
+        Isa::Avx2 | Isa::Avx512 if fit(TALL, TILE) => tiles::<TALL, TILE>(isa, a, b, upper),
+        _ if fit(TILE, TILE) => tiles::<TILE, TILE>(isa, a, b, upper),
+        _ => a * b,
     }
+}
+
+/// The tiles of `a · b`, or of its `upper` triangle alone.
+fn tiles<const R: usize, const C: usize>(isa: Isa, a: &DMatrix<f64>, b: &DMatrix<f64>, upper: bool) -> DMatrix<f64> {
+    let (rows, columns) = (a.nrows(), b.ncols());
     let mut out = DMatrix::zeros(rows, columns);
     let width = columns.div_ceil((columns / TASK).max(1));
-    let isa = Isa::detect();
     out.as_mut_slice()
         .par_chunks_mut(rows * width)
         .enumerate()
-        .for_each(|(task, out)| dispatch(isa, Tiles { a, b, first: task * width, out, wanted }));
+        .for_each(|(task, out)| dispatch(isa, Tiles::<R, C> { a, b, first: task * width, out, upper }));
     out
 }
 
 /// The tiles of some columns.
-struct Tiles<'a, W> {
+struct Tiles<'a, const R: usize, const C: usize> {
     a: &'a DMatrix<f64>,
     b: &'a DMatrix<f64>,
     /// The first column.
     first: usize,
     out: &'a mut [f64],
-    wanted: W,
+    upper: bool,
 }
 
-impl<W: Fn(usize, usize) -> bool> Hot for Tiles<'_, W> {
+impl<const R: usize, const C: usize> Hot for Tiles<'_, R, C> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { a, b, first, out, wanted } = self;
+        let Self { a, b, first, out, upper } = self;
         let rows = a.nrows();
-        for i in firsts(rows) {
-            for j in firsts(out.len() / rows) {
-                if !wanted(i, first + j) {
+        for i in firsts(rows, R) {
+            for j in firsts(out.len() / rows, C) {
+                if upper && i >= first + j + C {
                     continue;
                 }
-                for (c, sums) in tile(a, b, i, first + j).iter().enumerate() {
-                    out[(j + c) * rows + i..][..TILE].copy_from_slice(sums);
+                for (c, sums) in tile::<R, C>(a, b, i, first + j).iter().enumerate() {
+                    out[(j + c) * rows + i..][..R].copy_from_slice(sums);
                 }
             }
         }
     }
 }
 
-/// Where tiles begin; the last one overlaps with the one before.
-fn firsts(size: usize) -> impl Iterator<Item = usize> {
-    (0..size).step_by(TILE).map(move |first| first.min(size - TILE))
+/// Where tiles of this `side` begin; the last one overlaps with the one before.
+fn firsts(size: usize, side: usize) -> impl Iterator<Item = usize> {
+    (0..size).step_by(side).map(move |first| first.min(size - side))
 }
 
 /// `[column][row]`, each summed upwards from its first product.
 #[inline(always)]
-fn tile(a: &DMatrix<f64>, b: &DMatrix<f64>, row: usize, column: usize) -> [[f64; TILE]; TILE] {
+fn tile<const R: usize, const C: usize>(
+    a: &DMatrix<f64>,
+    b: &DMatrix<f64>,
+    row: usize,
+    column: usize,
+) -> [[f64; R]; C] {
     let (inner, rows) = (b.nrows(), a.nrows());
     let a = &a.as_slice()[..rows * inner];
-    let b: [&[f64]; TILE] = std::array::from_fn(|c| &b.as_slice()[(column + c) * inner..][..inner]);
-    let mut sums = [[0.0; TILE]; TILE];
+    let b: [&[f64]; C] = std::array::from_fn(|c| &b.as_slice()[(column + c) * inner..][..inner]);
+    let mut sums = [[0.0; R]; C];
     for l in 0..inner {
-        let Some(x) = a[l * rows + row..].first_chunk::<TILE>() else { break };
-        for c in 0..TILE {
+        let Some(x) = a[l * rows + row..].first_chunk::<R>() else { break };
+        for c in 0..C {
             let y = b[c][l];
-            for r in 0..TILE {
+            for r in 0..R {
                 sums[c][r] = if l == 0 { x[r] * y } else { sums[c][r] + x[r] * y };
             }
         }

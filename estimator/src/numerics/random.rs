@@ -83,6 +83,7 @@ impl CosineDirections {
     }
 
     /// Calls `visit(index, direction)` for directions `range` of `vertex` about the unit `normal`.
+    #[inline(always)]
     pub fn about(&self, vertex: u32, normal: Vec3, range: std::ops::Range<usize>, mut visit: impl FnMut(usize, Vec3)) {
         let scramble = hash(vertex, self.seed);
         let (tangent, bitangent) = normal.any_orthonormal_pair();

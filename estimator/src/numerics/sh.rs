@@ -67,6 +67,7 @@ pub fn eval(direction: DVec3, values: &mut [f64]) {
 }
 
 /// Adds Σ over lanes of `weight · Y_k(direction)` to `sum` (`bands²` long): the fast path, in f32.
+#[inline(always)]
 pub fn add_lanes(directions: &[[f32; LANES]; 3], weight: &[f32; LANES], sum: &mut [f32]) {
     let bands = bands_of(sum.len());
     let r = &*RECURRENCE;

@@ -1,9 +1,10 @@
 //! Ray queries against a mesh: nearest hit and occlusion.
 
 use crate::numerics::robust::median;
-use crate::rays::traversal::Ray;
+use crate::rays::traversal::{Any, Closest};
 use crate::rays::wide_bvh::Wide;
 use glam::{Vec3, Vec3A};
+use isa::{Isa, dispatch};
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
@@ -69,7 +70,8 @@ impl RayScene {
     /// The nearest surface along the unit `direction`, `None` if there is none. Origin and direction are in the mesh's frame.
     #[must_use]
     pub fn closest_hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
-        let hit = self.wide.closest(&self.ray(origin, direction)?)?;
+        let (origin, direction) = self.inside(origin, direction)?;
+        let hit = dispatch(Isa::detect(), Closest { wide: &self.wide, origin, direction })?;
         Some(Hit { distance: hit.distance / self.scale, triangle: hit.triangle, u: hit.u, v: hit.v })
     }
 
@@ -83,7 +85,9 @@ impl RayScene {
     #[must_use]
     pub fn occluded_within(&self, origin: Vec3, direction: Vec3, distance: f32) -> bool {
         let within = (distance * self.scale).next_down();
-        self.ray(origin, direction).is_some_and(|ray| self.wide.any(&ray, within))
+        self.inside(origin, direction).is_some_and(|(origin, direction)| {
+            dispatch(Isa::detect(), Any { wide: &self.wide, origin, direction, within })
+        })
     }
 
     /// Origin for a ray that leaves the surface at `position` on the side of the unit `normal`: offset by a small fraction of
@@ -100,12 +104,13 @@ impl RayScene {
         self.median_edge
     }
 
+    /// Origin and direction in the coordinates of the hierarchy; `None` for a ray that meets nothing.
     #[inline(always)]
-    fn ray(&self, origin: Vec3, direction: Vec3) -> Option<Ray> {
+    fn inside(&self, origin: Vec3, direction: Vec3) -> Option<(Vec3A, Vec3A)> {
         let origin = Vec3A::from((origin - self.center) * self.scale);
         let usable =
             origin.abs().max_element() < LARGEST_COORDINATE && direction.is_finite() && direction != Vec3::ZERO;
-        (usable && !self.wide.leaves.is_empty()).then(|| Ray::new(origin, direction.into()))
+        (usable && !self.wide.leaves.is_empty()).then(|| (origin, direction.into()))
     }
 }
 
@@ -153,6 +158,7 @@ fn center(triangles: &[(u32, [Vec3; 3])]) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rays::traversal::Ray;
     use crate::rays::wide_bvh::Leaf;
     use proptest::prelude::*;
 

@@ -1,7 +1,8 @@
 //! BVH traversal and the watertight ray–triangle test.
 
-use crate::rays::wide_bvh::{Child, IN_LEAF, Leaf, Node, WIDTH, Wide};
+use crate::rays::wide_bvh::{Child, IN_LEAF, Lanes, Leaf, Node, WIDTH, Wide};
 use glam::{Vec3A, Vec4};
+use isa::Hot;
 
 /// Lower bound of the magnitude of a direction's components in box tests, so that no inverse is infinite.
 const LEAST_COMPONENT: f32 = 1e-18;
@@ -10,13 +11,13 @@ const ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// Entries of the traversal stack before it spills to the heap.
 const STACK: usize = 64;
 
-/// A ray with the values that box and triangle tests need, each in four lanes. Triangles are tested in the frame of Woop,
+/// A ray with the values that box and triangle tests need. Triangles are tested in the frame of Woop,
 /// Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): z is the ray's dominant axis, and a shear aligns the
 /// ray with it.
 pub(super) struct Ray {
-    origin: [Vec4; 3],
+    origin: [f32; 3],
     /// Inverse direction for entry and for exit distances.
-    inverse: [[Vec4; 3]; 2],
+    inverse: [[f32; 3]; 2],
     /// `[axis]`: whether the ray enters boxes through their lower (0) or upper (1) plane.
     entry: [usize; 3],
     axes: [usize; 3],
@@ -38,8 +39,8 @@ impl Ray {
         let axes = [(z + 1) % 3, (z + 2) % 3, z];
         let inverse = d.map(|d| 1.0 / if d.abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(d) } else { d });
         Self {
-            origin: origin.to_array().map(Vec4::splat),
-            inverse: [inverse.map(Vec4::splat), inverse.map(|i| Vec4::splat(i * (1.0 + ROUNDING)))],
+            origin: origin.to_array(),
+            inverse: [inverse, inverse.map(|i| i * (1.0 + ROUNDING))],
             entry: inverse.map(|i| usize::from(i < 0.0)),
             axes,
             shear: [Vec4::splat(d[axes[0]] / d[z]), Vec4::splat(d[axes[1]] / d[z])],
@@ -47,25 +48,28 @@ impl Ray {
         }
     }
 
+    /// The planes through which the ray enters and leaves the boxes of a node: `[entry, exit][axis]`.
+    #[inline(always)]
+    fn entry_and_exit<'a>(&self, node: &'a Node) -> [[&'a Lanes; 3]; 2] {
+        let ([x, y, z], [i, j, k]) = (&node.planes, self.entry);
+        [[&x[i], &y[j], &z[k]], [&x[i ^ 1], &y[j ^ 1], &z[k ^ 1]]]
+    }
+
     /// One bit for each box that the ray hits between 0 and `within`, and its entry distances, `[box]`.
     #[inline(always)]
-    fn boxes(&self, node: &Node, within: f32) -> (u32, [f32; WIDTH]) {
-        let mut hits = 0;
-        let mut entry_distance = [Vec4::ZERO; 2];
-        for (half, entry_distance) in entry_distance.iter_mut().enumerate() {
-            let distances = |end: usize| {
-                let at = |axis: usize| {
-                    let plane = node.planes[axis][self.entry[axis] ^ end][half];
-                    (plane - self.origin[axis]) * self.inverse[end][axis]
-                };
-                [at(0), at(1), at(2)]
-            };
-            let ([ax, ay, az], [bx, by, bz]) = (distances(0), distances(1));
-            *entry_distance = ax.max(ay).max(az).max(Vec4::ZERO);
-            let left = bx.min(by).min(bz).min(Vec4::splat(within));
-            hits |= entry_distance.cmple(left).bitmask() << (4 * half);
+    fn boxes(&self, node: &Node, within: f32) -> (u32, Lanes) {
+        let (mut entry, mut left): (Lanes, Lanes) = ([0.0; WIDTH], [0.0; WIDTH]);
+        let [[ax, ay, az], [bx, by, bz]] = self.entry_and_exit(node);
+        let ([ox, oy, oz], [[ix, iy, iz], [jx, jy, jz]]) = (self.origin, self.inverse);
+        for i in 0..WIDTH {
+            let (a, b, c) = ((ax[i] - ox) * ix, (ay[i] - oy) * iy, (az[i] - oz) * iz);
+            entry[i] = larger(larger(larger(a, b), c), 0.0);
+            let (a, b, c) = ((bx[i] - ox) * jx, (by[i] - oy) * jy, (bz[i] - oz) * jz);
+            left[i] = smaller(smaller(smaller(a, b), c), within);
         }
-        (hits, bytemuck::cast(entry_distance))
+        let [entry_halves, left_halves]: [[Vec4; 2]; 2] = [bytemuck::cast(entry), bytemuck::cast(left)];
+        let hits = |half: usize| entry_halves[half].cmple(left_halves[half]).bitmask() << (4 * half);
+        (hits(0) | hits(1), entry)
     }
 
     /// One bit for each triangle that the ray hits at a distance in (0, `within`]; the distances; the edge functions.
@@ -75,11 +79,12 @@ impl Ray {
     #[inline(always)]
     pub(super) fn triangles(&self, leaf: &Leaf, within: f32) -> (u32, Vec4, [Vec4; 3]) {
         let [kx, ky, kz] = self.axes;
-        let z = leaf.corners[kz].map(|c| c - self.origin[kz]);
-        let sheared = |axis: usize, shear: Vec4| -> [Vec4; 3] {
-            std::array::from_fn(|i| leaf.corners[axis][i] - self.origin[axis] - z[i] * shear)
-        };
-        let (x, y) = (sheared(kx, self.shear[0]), sheared(ky, self.shear[1]));
+        let o = &self.origin;
+        let origin = [Vec4::splat(o[kx]), Vec4::splat(o[ky]), Vec4::splat(o[kz])];
+        let [a, b, c] = leaf.corners[kz];
+        let z = [a - origin[2], b - origin[2], c - origin[2]];
+        let x = sheared(&leaf.corners[kx], origin[0], &z, self.shear[0]);
+        let y = sheared(&leaf.corners[ky], origin[1], &z, self.shear[1]);
         let mut edges = [x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]];
         let zero = Vec4::ZERO;
         let doubtful = edges[0].cmpeq(zero) | edges[1].cmpeq(zero) | edges[2].cmpeq(zero);
@@ -122,7 +127,7 @@ pub(super) struct NearestHit {
 impl Wide {
     /// True if any triangle is hit at a distance of at most `within`.
     #[inline(always)]
-    pub(super) fn any(&self, ray: &Ray, within: f32) -> bool {
+    fn any(&self, ray: &Ray, within: f32) -> bool {
         let mut stack = Stack::<Child>::new();
         let mut next = self.root;
         loop {
@@ -155,7 +160,7 @@ impl Wide {
 
     /// The nearest hit; of equally near triangles the one with the lowest index.
     #[inline(always)]
-    pub(super) fn closest(&self, ray: &Ray) -> Option<NearestHit> {
+    fn closest(&self, ray: &Ray) -> Option<NearestHit> {
         let mut best = NearestHit { distance: f32::MAX, triangle: u32::MAX, u: 0.0, v: 0.0 };
         let mut stack = Stack::<Pending>::new();
         let mut next = self.root;
@@ -196,6 +201,57 @@ impl Wide {
     }
 }
 
+/// One axis of three corners, relative to the origin and with the ray along z.
+#[inline(always)]
+fn sheared([a, b, c]: &[Vec4; 3], origin: Vec4, z: &[Vec4; 3], shear: Vec4) -> [Vec4; 3] {
+    [*a - origin - z[0] * shear, *b - origin - z[1] * shear, *c - origin - z[2] * shear]
+}
+
+/// The larger number; the second one where there is none.
+#[inline(always)]
+fn larger(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The smaller number; the second one where there is none.
+#[inline(always)]
+fn smaller(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+/// [`Wide::any`] as a hot loop.
+pub(super) struct Any<'a> {
+    pub(super) wide: &'a Wide,
+    pub(super) origin: Vec3A,
+    pub(super) direction: Vec3A,
+    pub(super) within: f32,
+}
+
+impl Hot for Any<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run(self) -> bool {
+        self.wide.any(&Ray::new(self.origin, self.direction), self.within)
+    }
+}
+
+/// [`Wide::closest`] as a hot loop.
+pub(super) struct Closest<'a> {
+    pub(super) wide: &'a Wide,
+    pub(super) origin: Vec3A,
+    pub(super) direction: Vec3A,
+}
+
+impl Hot for Closest<'_> {
+    type Output = Option<NearestHit>;
+
+    #[inline(always)]
+    fn run(self) -> Option<NearestHit> {
+        self.wide.closest(&Ray::new(self.origin, self.direction))
+    }
+}
+
 #[inline(always)]
 fn take_lowest(bits: &mut u32) -> usize {
     let lowest = bits.trailing_zeros() as usize;
@@ -229,7 +285,7 @@ struct Pending {
 
 impl Pending {
     #[inline(always)]
-    fn take(node: &Node, hits: &mut u32, entry_distance: &[f32; WIDTH]) -> Self {
+    fn take(node: &Node, hits: &mut u32, entry_distance: &Lanes) -> Self {
         let i = take_lowest(hits) % WIDTH;
         Self { child: node.children[i], entry_distance: entry_distance[i] }
     }

@@ -5,6 +5,8 @@ use obvhs::bvh2::Bvh2;
 
 /// Boxes per node.
 pub(super) const WIDTH: usize = 8;
+/// A number for each box of a node.
+pub(super) type Lanes = [f32; WIDTH];
 /// Triangles per leaf.
 pub(super) const IN_LEAF: usize = 4;
 /// Cost of testing the triangles of a leaf relative to testing the boxes of a node.
@@ -34,8 +36,8 @@ impl Default for Child {
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct Node {
-    /// `[axis][lower, upper][box / 4][box % 4]`; an empty slot is an inverted box, which no ray hits.
-    pub(super) planes: [[[Vec4; 2]; 2]; 3],
+    /// `[axis][lower, upper]`; an empty slot is an inverted box, which no ray hits.
+    pub(super) planes: [[Lanes; 2]; 3],
     pub(super) children: [Child; WIDTH],
 }
 
@@ -171,13 +173,13 @@ fn cut_into(binary: &Bvh2, cuts: &Cuts, root: usize, boxes: usize, found: &mut V
 }
 
 fn boxes(binary: &Bvh2, children: &[usize]) -> Node {
-    let empty = [[Vec4::splat(f32::MAX); 2], [Vec4::splat(f32::MIN); 2]];
+    let empty = [[f32::MAX; WIDTH], [f32::MIN; WIDTH]];
     let mut node = Node { planes: [empty; 3], children: [Child::default(); WIDTH] };
     for (i, child) in children.iter().enumerate() {
         let aabb = binary.nodes[*child].aabb();
         for axis in 0..3 {
-            node.planes[axis][0][i / 4][i % 4] = aabb.min[axis];
-            node.planes[axis][1][i / 4][i % 4] = aabb.max[axis];
+            node.planes[axis][0][i] = aabb.min[axis];
+            node.planes[axis][1][i] = aabb.max[axis];
         }
     }
     node
@@ -221,7 +223,7 @@ mod tests {
                 let node = &wide.nodes[node];
                 for (i, child) in node.children.iter().enumerate().filter(|(_, c)| **c != Child::default()) {
                     let inside = below(wide, *child, found);
-                    let plane = |side: usize| Vec3A::from_array([0, 1, 2].map(|a| node.planes[a][side][i / 4][i % 4]));
+                    let plane = |side: usize| Vec3A::from_array([0, 1, 2].map(|a| node.planes[a][side][i]));
                     assert!(plane(0).cmple(inside.min).all() && plane(1).cmpge(inside.max).all());
                     aabb = aabb.union(&inside);
                 }

@@ -8,7 +8,7 @@ use crate::specular::Gloss;
 use crate::stages::gloss::Answer;
 use crate::stages::model::{select_model, trace};
 use crate::stages::prepare::prepare_on;
-use crate::stages::result::result;
+use crate::stages::result::{light, result};
 use crate::stages::run::Run;
 use crate::stages::scale::fix_scale;
 use firmware_config::{EstimatorConfig, Switch, TextureChoice};
@@ -43,7 +43,7 @@ fn make(scan: &Scan, effort: FirstAnswer, config: &EstimatorConfig, options: &Op
     // Fixed rounds: this part of the run has no plan of its own.
     let options = Options { rounds: Some(1), ..options.clone() };
     let clock = WallClock::start();
-    let mut own = Run::new(&clock, scan, &config, &options, &());
+    let mut own = Run::new(&clock, scan, &config, &options, &(), Done::default());
     own.plan.restrict(1.0, effort.keyframe_stride);
     let Ok(mut prepared) = prepare_on(sketched(&scan.mesh, effort.vertices), scan, &mut own) else { return };
     let traced = trace(&prepared, &mut own);
@@ -55,7 +55,9 @@ fn make(scan: &Scan, effort: FirstAnswer, config: &EstimatorConfig, options: &Op
         vertices: prepared.mesh.positions.len() as u32,
         keyframes: scan.keyframes.len().div_ceil(effort.keyframe_stride) as u32,
     });
-    let (estimate, _) = result(scan, &mut prepared, answer, LocalLight::default(), &own);
+    let local_light = LocalLight::default();
+    let light = light(&prepared, &answer, local_light.model, &config);
+    let (estimate, _) = result(scan, &mut prepared, answer, local_light, light, &own);
     progress.answer(&estimate);
 }
 

@@ -3,7 +3,7 @@
 use crate::factorisation::Factorised;
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
-use crate::stages::result::result;
+use crate::stages::result::{FoundLight, light, result};
 use crate::stages::run::Run;
 use crate::stages::scale::fix_scale;
 use crate::transfer::Transfer;
@@ -12,13 +12,14 @@ use recordings::local_light::{LightModel, LocalLight};
 use recordings::scan::Scan;
 use std::sync::Arc;
 
-/// Hands the answer that stands after a milestone over, if that costs little of the time left. Changes nothing else: what follows
-/// is the same with it and without it.
+/// Hands the answer that stands after a milestone over, if that costs little of the time left; its `light`, if that is known already.
+/// Changes nothing else: what follows is the same with it and without it.
 pub fn hand_over(
     scan: &Scan,
     prepared: &mut Prepared,
     answer: &mut Answer,
     local_light: &LocalLight,
+    known: Option<&FoundLight>,
     after: Milestone,
     run: &mut Run,
 ) {
@@ -34,7 +35,8 @@ pub fn hand_over(
     if after == Milestone::Albedo && local_light.model == LightModel::Distant {
         fix_scale(prepared, &mut own, run.config);
     }
-    let (mut estimate, transfer) = result(scan, prepared, own, local_light.clone(), run);
+    let light = known.cloned().unwrap_or_else(|| light(prepared, &own, local_light.model, run.config));
+    let (mut estimate, transfer) = result(scan, prepared, own, local_light.clone(), light, run);
     prepared.decisions.truncate(decisions);
     estimate.cuts.push(Cut::EndOfBudget { after });
     run.progress.answer(&estimate);

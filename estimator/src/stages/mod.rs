@@ -24,7 +24,7 @@ pub use local_light::select_local_light;
 pub use materials::{merge_materials, name_materials};
 pub use model::{SelectedModel, refine, select_model, spend, trace};
 pub use prepare::{Prepared, prepare};
-pub use result::{check_distance, result, transfer_decision, transfer_level, unseen_light};
+pub use result::{FoundLight, check_distance, light, result, transfer_decision, transfer_level, unseen_light};
 pub use run::Run;
 pub use scale::{fix_scale, scale_rule};
 pub use texture::texture;

@@ -23,13 +23,14 @@ pub fn result(
     prepared: &mut Prepared,
     answer: Answer,
     local_light: LocalLight,
+    light: FoundLight,
     run: &Run,
 ) -> (Estimate, Transfer) {
     let mut decisions = prepared.decisions.clone();
     decisions.push(transfer_decision(&answer.found, run.config));
     let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
     let unseen_light = unseen_light(&answer.found, run.config);
-    let (light, drawn) = light(prepared, &answer, local_light.model, run.config);
+    let FoundLight { light, drawn } = light;
     let (chroma, background) = drawn.map_or((None, None), |d| (Some(d.chroma), d.background));
     decisions.extend(chroma.map(|c| Decision::LightChroma { weight: c.weight, held_out: c.held_out }));
     decisions.push(prepared.background.likeness(&light, background));
@@ -70,9 +71,16 @@ fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
     keyframes.collect()
 }
 
-/// The light, and what it was drawn to. With gloss it has no more than the bands that mirrors show
-/// ([`sh::MIRRORED_BANDS`]).
-fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &EstimatorConfig) -> (Light, Option<Drawn>) {
+/// The light of a result, and what it was drawn to.
+#[derive(Clone)]
+pub struct FoundLight {
+    light: Light,
+    drawn: Option<Drawn>,
+}
+
+/// The light of a result. With gloss it has no more than the bands that mirrors show ([`sh::MIRRORED_BANDS`]).
+#[must_use]
+pub fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &EstimatorConfig) -> FoundLight {
     let Answer { found, gloss } = answer;
     let (colors, tuning) = (prepared.colors(), &config.tuning.factorisation);
     let is_mirrored = gloss.iter().any(|g| g.significant);
@@ -92,7 +100,7 @@ fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &Estim
         directions: directions().iter().map(|d| d.as_vec3().to_array()).collect(),
         radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
     };
-    (light, drawn)
+    FoundLight { light, drawn }
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.

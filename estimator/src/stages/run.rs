@@ -2,7 +2,7 @@
 
 use crate::api::{Options, Progress};
 use crate::budget::cost_model::Size;
-use crate::budget::{Machine, Plan};
+use crate::budget::{Done, Machine, Plan};
 use firmware_config::EstimatorConfig;
 use recordings::scan::{Scan, ScanSource};
 use recordings::types::Keyframe;
@@ -20,7 +20,7 @@ pub struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    /// Plans the run for a scan.
+    /// Plans the run for a scan, with what was done `before`.
     #[must_use]
     pub fn new(
         machine: &'a dyn Machine,
@@ -28,8 +28,9 @@ impl<'a> Run<'a> {
         config: &'a EstimatorConfig,
         options: &'a Options,
         progress: &'a dyn Progress,
+        before: Done,
     ) -> Self {
-        Self { config, options, progress, plan: Plan::new(machine, options, config, Self::size(scan, config)) }
+        Self { config, options, progress, plan: Plan::new(machine, options, config, Self::size(scan, config), before) }
     }
 
     /// Size of a scan under these settings.

@@ -3,7 +3,7 @@
 use crate::api::EstimateError;
 use crate::api::Options;
 use crate::api::Progress;
-use crate::budget::{self, Machine, WallClock};
+use crate::budget::{self, Done, Machine, WallClock};
 use crate::factorisation::{FactorisationOptions, Factorised, Start, factorise};
 use crate::numerics::sh::MAX_BANDS;
 use crate::specular::refit::{Refitted, refit};
@@ -126,7 +126,7 @@ impl<'a> Sweep<'a> {
 
     fn prepare(&self, config: &EstimatorConfig, vertices: f64, stride: usize) -> Result<Shared, EstimateError> {
         let (prepared, seconds) = self.timed(|sweep| {
-            let mut run = Run::new(sweep.clock, sweep.scan, config, &UNLIMITED, sweep.progress);
+            let mut run = Run::new(sweep.clock, sweep.scan, config, &UNLIMITED, sweep.progress, Done::default());
             run.plan.restrict(vertices, stride);
             stages::prepare(sweep.scan, &mut run)
         });
@@ -149,7 +149,7 @@ impl<'a> Sweep<'a> {
 
     fn automatic(&mut self, name: &str, config: &EstimatorConfig, shared: &mut Shared) {
         let before = self.clock.now();
-        let mut run = Run::new(self.clock, self.scan, config, &UNLIMITED, self.progress);
+        let mut run = Run::new(self.clock, self.scan, config, &UNLIMITED, self.progress, Done::default());
         let traced = stages::trace(&shared.prepared, &mut run);
         let model = stages::select_model(&mut shared.prepared, traced, &mut run);
         let traced = (model.traced, self.clock.now() - before);

@@ -3,6 +3,7 @@
 use crate::transfer::traced::Traced;
 use crate::transfer::vertex::INDIRECT;
 use glam::Vec3;
+use isa::{Hot, Isa, dispatch};
 use rayon::prelude::*;
 
 /// Coefficients of a vertex: `[channel][k]`.
@@ -119,6 +120,7 @@ fn series<const K: usize>(traced: &Traced, albedo: &[Vec3], rows: &mut [f32], li
         return Series { bounces, share, last_share: last };
     }
     let mut radiosity = vec![0.0f32; count * 3 * K];
+    let isa = Isa::detect();
     while bounces < limit {
         // Radiosity of every vertex: its albedo times all light that arrives so far.
         radiosity.par_chunks_mut(3 * K).zip(rows.par_chunks(3 * K)).enumerate().for_each(|(i, (out, row))| {
@@ -137,22 +139,8 @@ fn series<const K: usize>(traced: &Traced, albedo: &[Vec3], rows: &mut [f32], li
             .par_chunks_mut(3 * K * BLOCK)
             .enumerate()
             .map(|(block, rows)| {
-                let mut change = [0.0; 2];
-                for (j, row) in rows.chunks_mut(3 * K).enumerate() {
-                    let mut sums = [[0.0f32; K]; 3];
-                    let sum = sums.as_flattened_mut();
-                    for &corner in traced.hits(block * BLOCK + j) {
-                        let from = &radiosity[corner as usize * 3 * K..][..3 * K];
-                        sum.iter_mut().zip(from).for_each(|(s, x)| *s += x);
-                    }
-                    for (c, old) in row.iter().step_by(K).enumerate() {
-                        let new = f64::from(sum[c * K] * scale);
-                        change[0] += (new - f64::from(*old)).powi(2) / 3.0;
-                        change[1] += new.powi(2) / 3.0;
-                    }
-                    row.iter_mut().zip(sum).for_each(|(r, s)| *r = *s * scale + (*s * scale - *r) * rest);
-                }
-                change
+                let first = block * BLOCK;
+                dispatch(isa, Bounce::<K> { traced, radiosity: &radiosity, first, rows, scale, rest })
             })
             .collect();
         let [change, size] = changes.iter().fold([0.0; 2], |s, c| [s[0] + c[0], s[1] + c[1]]).map(libm::sqrt);
@@ -165,4 +153,49 @@ fn series<const K: usize>(traced: &Traced, albedo: &[Vec3], rows: &mut [f32], li
         }
     }
     Series { bounces, share, last_share: last }
+}
+
+/// One bounce to some vertices.
+struct Bounce<'a, const K: usize> {
+    traced: &'a Traced,
+    /// `[vertex][channel][K]`.
+    radiosity: &'a [f32],
+    /// The first vertex.
+    first: usize,
+    /// `[vertex][channel][K]`.
+    rows: &'a mut [f32],
+    /// One over the rays of a vertex.
+    scale: f32,
+    /// What the change is multiplied by for the bounces to come.
+    rest: f32,
+}
+
+impl<const K: usize> Hot for Bounce<'_, K> {
+    /// Σ of the squares of what changed, and of what arrives, in the first coefficients.
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn run(self) -> [f64; 2] {
+        let Self { traced, radiosity, first, rows, scale, rest } = self;
+        let mut change = [0.0; 2];
+        for (j, row) in rows.chunks_mut(3 * K).enumerate() {
+            let mut sums = [[0.0f32; K]; 3];
+            let sum = sums.as_flattened_mut();
+            for &corner in traced.hits(first + j) {
+                let from = &radiosity[corner as usize * 3 * K..][..3 * K];
+                for (s, x) in sum.iter_mut().zip(from) {
+                    *s += x;
+                }
+            }
+            for (c, old) in row.iter().step_by(K).enumerate() {
+                let new = f64::from(sum[c * K] * scale);
+                change[0] += (new - f64::from(*old)).powi(2) / 3.0;
+                change[1] += new.powi(2) / 3.0;
+            }
+            for (r, s) in row.iter_mut().zip(sum) {
+                *r = *s * scale + (*s * scale - *r) * rest;
+            }
+        }
+        change
+    }
 }

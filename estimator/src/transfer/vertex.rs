@@ -4,6 +4,7 @@ use crate::numerics::random::{CosineDirections, hash, unit};
 use crate::numerics::sh;
 use crate::rays::RayScene;
 use glam::Vec3;
+use isa::{Hot, Isa, dispatch};
 use recordings::types::Mesh;
 use std::ops::Range;
 
@@ -51,6 +52,7 @@ impl Lanes {
         }
     }
 
+    #[inline(always)]
     fn flush(&mut self, sum: &mut [f32]) {
         if self.filled > 0 {
             self.weight[self.filled..].fill(0.0);
@@ -63,67 +65,87 @@ impl Lanes {
 /// Fills the direct transfer `row` of one vertex with the rays of a range, appends its hits, and returns the blocked share
 /// and the estimated error.
 pub(super) fn trace(
-    (mesh, scene): (&Mesh, &RayScene),
+    target: (&Mesh, &RayScene),
     directions: &CosineDirections,
     vertex: usize,
     range: Range<u32>,
     row: &mut [f32],
     hits: &mut Hits,
 ) -> (f32, f32) {
-    let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
-    let rays = range.end - range.start;
-    if rays == 0 || !position.is_finite() || !(normal.length_squared() - 1.0).abs().lt(&1e-2) {
-        return (0.0, 0.0);
-    }
-    let origin = scene.offset_origin(position, normal);
-    // Halves of the point set, whose difference estimates the error of the whole. Two sums each: escaping rays, hits.
-    let mut sums = [[[0.0f32; sh::MAX_COEFFICIENTS]; 2]; 2];
-    let mut lanes = [[Lanes::new(), Lanes::new()], [Lanes::new(), Lanes::new()]];
-    let mut count = [0u32; 2];
-    let k = row.len();
-    directions.about(vertex as u32, normal, range.start as usize..range.end as usize, |index, d| {
-        let half = usize::from(2 * (index - range.start as usize) >= rays as usize);
-        let hit = scene.closest_hit(origin, d);
-        let side = usize::from(hit.is_some());
-        count[side] += 1;
-        lanes[half][side].push(d, &mut sums[half][side][..k]);
-        if let Some(hit) = hit.filter(|_| index < hits.rays) {
-            let t = mesh.triangles[hit.triangle as usize];
-            let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
-            let facing = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
-            // A back face blocks, but its front's light is not seen there.
-            if facing.dot(d) < 0.0 {
-                let draw = unit(hash(vertex as u32, index as u32 ^ 0x0c04_e500));
-                hits.corners.push(if draw < hit.u {
-                    t[1]
-                } else if draw < hit.u + hit.v {
-                    t[2]
-                } else {
-                    t[0]
-                });
+    dispatch(Isa::detect(), Trace { target, directions, vertex, range, row, hits })
+}
+
+/// [`trace`] as a hot loop.
+struct Trace<'a, 'h> {
+    target: (&'a Mesh, &'a RayScene),
+    directions: &'a CosineDirections,
+    vertex: usize,
+    range: Range<u32>,
+    row: &'a mut [f32],
+    hits: &'a mut Hits<'h>,
+}
+
+impl Hot for Trace<'_, '_> {
+    type Output = (f32, f32);
+
+    #[inline(always)]
+    fn run(self) -> (f32, f32) {
+        let Self { target: (mesh, scene), directions, vertex, range, row, hits } = self;
+        let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
+        let rays = range.end - range.start;
+        if rays == 0 || !position.is_finite() || !(normal.length_squared() - 1.0).abs().lt(&1e-2) {
+            return (0.0, 0.0);
+        }
+        let origin = scene.offset_origin(position, normal);
+        // Halves of the point set, whose difference estimates the error of the whole. Two sums each: escaping rays, hits.
+        let mut sums = [[[0.0f32; sh::MAX_COEFFICIENTS]; 2]; 2];
+        let mut lanes = [[Lanes::new(), Lanes::new()], [Lanes::new(), Lanes::new()]];
+        let mut count = [0u32; 2];
+        let k = row.len();
+        directions.about(vertex as u32, normal, range.start as usize..range.end as usize, |index, d| {
+            let half = usize::from(2 * (index - range.start as usize) >= rays as usize);
+            let hit = scene.closest_hit(origin, d);
+            let side = usize::from(hit.is_some());
+            count[side] += 1;
+            lanes[half][side].push(d, &mut sums[half][side][..k]);
+            if let Some(hit) = hit.filter(|_| index < hits.rays) {
+                let t = mesh.triangles[hit.triangle as usize];
+                let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
+                let facing = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+                // A back face blocks, but its front's light is not seen there.
+                if facing.dot(d) < 0.0 {
+                    let draw = unit(hash(vertex as u32, index as u32 ^ 0x0c04_e500));
+                    hits.corners.push(if draw < hit.u {
+                        t[1]
+                    } else if draw < hit.u + hit.v {
+                        t[2]
+                    } else {
+                        t[0]
+                    });
+                }
+            }
+        });
+        for half in 0..2 {
+            for side in 0..2 {
+                lanes[half][side].flush(&mut sums[half][side][..k]);
             }
         }
-    });
-    for half in 0..2 {
-        for side in 0..2 {
-            lanes[half][side].flush(&mut sums[half][side][..k]);
+        // Eq. (8): t = 1/N Σ over escaping rays. Where most rays escape, the closed form minus the hits estimates the same
+        // integral with less variance.
+        let subtract = count[1] <= count[0];
+        let side = usize::from(subtract);
+        let scale = 1.0 / rays as f32;
+        if subtract {
+            cosine_lobe(normal, row);
         }
-    }
-    // Eq. (8): t = 1/N Σ over escaping rays. Where most rays escape, the closed form minus the hits estimates the same
-    // integral with less variance.
-    let subtract = count[1] <= count[0];
-    let side = usize::from(subtract);
-    let scale = 1.0 / rays as f32;
-    if subtract {
-        cosine_lobe(normal, row);
-    }
-    let mut difference = 0.0f64;
-    for i in 0..k {
-        let [a, b] = [sums[0][side][i], sums[1][side][i]];
-        row[i] = if subtract { row[i] - (a + b) * scale } else { (a + b) * scale };
-        if i < INDIRECT {
-            difference += f64::from((a - b) * scale).powi(2);
+        let mut difference = 0.0f64;
+        for i in 0..k {
+            let [a, b] = [sums[0][side][i], sums[1][side][i]];
+            row[i] = if subtract { row[i] - (a + b) * scale } else { (a + b) * scale };
+            if i < INDIRECT {
+                difference += f64::from((a - b) * scale).powi(2);
+            }
         }
+        (count[1] as f32 * scale, (HALVES_TO_WHOLE * libm::sqrt(difference)) as f32)
     }
-    (count[1] as f32 * scale, (HALVES_TO_WHOLE * libm::sqrt(difference)) as f32)
 }

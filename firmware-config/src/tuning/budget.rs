@@ -21,9 +21,9 @@ section! {
         vertex_step: f64 = 0.7, [0.1..=0.95], "", "";
         /// Share of the time left that is planned with: costs are estimates, and machines stall.
         usable_share: f64 = 0.7, [0.1..=1.0], "", "";
-        /// Share of the budget that the speed probe may take where the budget may bind.
+        /// Share of the budget that the speed probe and the first answer before it may take where the budget may bind.
         probe_share: f64 = 0.04, [0.001..=0.5], "", "";
         /// The probe ends early if the whole run takes less than this share of the budget.
-        clearly_enough_share: f64 = 0.125, [0.0..=1.0], "", "";
+        clearly_enough_share: f64 = 0.35, [0.0..=1.0], "", "";
     }
 }
