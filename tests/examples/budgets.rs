@@ -3,7 +3,8 @@
 //!
 //! Every mesh of a scene with known truth, subdivided to so many vertices, with every budget and under every load of `tests/load.sh`:
 //! three meshes, three budgets and four loads without arguments, 36 runs. Prints one row a run: when the result stood, when the process
-//! ended, its exit code, vertices and error of the albedo against the truth, and what was cut; then the number of runs that were late.
+//! ended, its processor time as a share of that, its exit code, vertices and error of the albedo against the truth, and what was cut;
+//! then the number of runs that were late.
 
 use recordings::import::photos::import_photos;
 use recordings::ply::write::write_ply;
@@ -62,9 +63,9 @@ fn main() -> Outcome<()> {
     let truth = Truth::read(&tests::shared(), &arguments.scene);
     let folder = tempfile::tempdir()?;
     println!(
-        "| vertices | budget | load | result | process | code | peak | of the result | albedo, median / p90 | cuts |"
+        "| vertices | budget | load | result | process | of a core | code | peak | of the result | albedo, median / p90 | cuts |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|");
     let (mut runs, mut late) = (0, 0);
     for vertices in &arguments.vertices {
         let scan = scan(&truth, *vertices, folder.path())?;
@@ -142,18 +143,22 @@ fn run(truth: &Truth, scan: &Path, vertices: usize, budget: f64, load: &str, mem
     let output = command.stderr(File::create(&log)?).output()?;
     let text = String::from_utf8_lossy(&output.stdout);
     let Some(line) = text.lines().find(|l| l.starts_with("result after")) else {
-        println!("| {vertices} | {budget} s | {load} | none | | | | | | |");
+        println!("| {vertices} | {budget} s | {load} | none | | | | | | | |");
         return Ok(false);
     };
     let numbers: Vec<f64> = line.split_whitespace().filter_map(|w| w.parse().ok()).collect();
     let [after, _, ended, code] = numbers[..] else { return Err(format!("not understood: {line}").into()) };
     let line = text.lines().find_map(|l| serde_json::from_str::<serde_json::Value>(l).ok());
-    let peak = line.and_then(|l| l["memory_peak_bytes"].as_f64()).unwrap_or(f64::NAN) / f64::from(1 << 20);
+    let figure = |name: &str| line.as_ref().and_then(|l| l[name].as_f64()).unwrap_or(f64::NAN);
+    let peak = figure("memory_peak_bytes") / f64::from(1 << 20);
+    // What halts and other programs left of the time, where the run needed all that it could get.
+    let share = figure("cpu_seconds") / ended;
     let found = Estimate::read(&result)?;
     let AlbedoError { median, p90, .. } = albedo_error(truth, &found);
     let cuts: Vec<String> = found.cuts.iter().map(ToString::to_string).collect();
     println!(
-        "| {vertices} | {budget} s | {load} | {after:.1} s | {ended:.1} s | {code} | {peak:.0} MiB | {} | {median:.3} / {p90:.2} | {} |",
+        "| {vertices} | {budget} s | {load} | {after:.1} s | {ended:.1} s | {:.0} % | {code} | {peak:.0} MiB | {} | {median:.3} / {p90:.2} | {} |",
+        100.0 * share,
         found.mesh.positions.len(),
         cuts.join("; ")
     );
