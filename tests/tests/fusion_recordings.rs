@@ -19,17 +19,23 @@ use tests::shared;
 
 type Pair = (DepthFrame, ColorFrame);
 
-/// Each colour frame with the depth frame nearest in time.
-fn pairs(dir: &Path) -> (Sensor, Vec<Pair>) {
-    let mut reader = TumReader::open(dir).unwrap();
+/// All depth frames and all colour frames that `next` gives.
+fn streams(mut next: impl FnMut() -> Option<Event>) -> (Vec<DepthFrame>, Vec<ColorFrame>) {
     let (mut depths, mut colors) = (Vec::new(), Vec::new());
-    while let Some(event) = reader.next_event().unwrap() {
+    while let Some(event) = next() {
         match event {
             Event::Depth(d) => depths.push(d),
             Event::Color(c) => colors.push(c),
             _ => {}
         }
     }
+    (depths, colors)
+}
+
+/// Each colour frame with the depth frame nearest in time.
+fn pairs(dir: &Path) -> (Sensor, Vec<Pair>) {
+    let mut reader = TumReader::open(dir).unwrap();
+    let (depths, colors) = streams(|| reader.next_event().unwrap());
     let gap = |c: &ColorFrame, d: &DepthFrame| (d.timestamp_ns - c.timestamp_ns).abs();
     let near = |c: ColorFrame| {
         let depth = depths.iter().min_by_key(|d| gap(&c, d)).filter(|d| gap(&c, d) <= 20_000_000)?;
@@ -46,14 +52,7 @@ fn decoded((depth, color): &Pair) -> RgbdFrame {
 fn bundled() -> (Sensor, Vec<Pair>) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../recordings/data/tabletop.lrec");
     let mut reader = RecordingReader::open(&path).unwrap();
-    let (mut depths, mut colors) = (Vec::new(), Vec::new());
-    while let Some(event) = reader.next_event().unwrap() {
-        match event {
-            Event::Depth(d) => depths.push(d),
-            Event::Color(c) => colors.push(c),
-            _ => {}
-        }
-    }
+    let (depths, colors) = streams(|| reader.next_event().unwrap());
     (reader.sensor().clone(), depths.into_iter().zip(colors).collect())
 }
 

@@ -51,7 +51,7 @@ impl Raster {
             let [a, b, c] = corners.map(|i| pixels[i as usize]);
             if [a, b, c].iter().all(|p| p.first[0] != Pixels::BEHIND.first[0]) {
                 // Most triangles are smaller than a pixel, or outside.
-                if let Some(pixels) = a.and(b).and(c).within(camera) {
+                if let Some(pixels) = Pixels::between([a, b, c], camera) {
                     raster.fill(index as u32, corners.map(|i| projected[i as usize]), pixels);
                 }
                 continue;
@@ -61,8 +61,7 @@ impl Raster {
                 let polygon = clip_near(corners, near);
                 for i in 2..polygon.len() {
                     let corners = [polygon[0], polygon[i - 1], polygon[i]].map(project);
-                    let [a, b, c] = corners.map(Pixels::of);
-                    if let Some(pixels) = a.and(b).and(c).within(camera) {
+                    if let Some(pixels) = Pixels::between(corners.map(Pixels::of), camera) {
                         raster.fill(index as u32, corners, pixels);
                     }
                 }
@@ -141,18 +140,12 @@ impl Pixels {
         Self { first: [first(u), first(v)], end: [end(u), end(v)] }
     }
 
-    fn and(self, other: Self) -> Self {
-        let (a, b) = (self, other);
-        Self {
-            first: [a.first[0].min(b.first[0]), a.first[1].min(b.first[1])],
-            end: [a.end[0].max(b.end[0]), a.end[1].max(b.end[1])],
-        }
-    }
-
-    /// Those of a picture; `None` if there are none.
-    fn within(self, camera: &Intrinsics) -> Option<Self> {
-        let end = [self.end[0].min(camera.width), self.end[1].min(camera.height)];
-        (self.first[0] < end[0] && self.first[1] < end[1]).then_some(Self { end, ..self })
+    /// Those of a picture that lie between three points; `None` if there are none.
+    fn between([a, b, c]: [Self; 3], camera: &Intrinsics) -> Option<Self> {
+        let first = [0, 1].map(|axis| a.first[axis].min(b.first[axis]).min(c.first[axis]));
+        let end = [0, 1].map(|axis| a.end[axis].max(b.end[axis]).max(c.end[axis]));
+        let end = [end[0].min(camera.width), end[1].min(camera.height)];
+        (first[0] < end[0] && first[1] < end[1]).then_some(Self { first, end })
     }
 }
 

@@ -14,6 +14,8 @@ use recordings::result::Estimate;
 const RAYS: usize = 64;
 /// Rays per vertex to each lamp.
 const SOURCE_RAYS: u32 = 16;
+/// No colour is divided by less: the quotient stays finite, and times an albedo of nothing it is nothing.
+const LEAST_ALBEDO: f32 = 1e-6;
 
 /// Light on vertices, the same for every view of them.
 pub struct VertexLight<'a> {
@@ -54,7 +56,7 @@ impl<'a> VertexLight<'a> {
         let Self { result: r, scene, sources, .. } = self;
         // No light in the result explains these colours: what arrives is what the albedo was found with.
         if r.local_light.model == LightModel::Unexplained {
-            return r.lit_color[i] / r.albedo[i].max(Vec3::splat(f32::MIN_POSITIVE));
+            return r.lit_color[i] / r.albedo[i].max(Vec3::splat(LEAST_ALBEDO));
         }
         let (position, normal) = (r.mesh.positions[i], r.mesh.normals[i]);
         let origin = scene.offset_origin(position, normal);
@@ -123,9 +125,12 @@ mod tests {
         result.local_light.model = LightModel::Unexplained;
         result.segments.iter_mut().for_each(|s| s.w_s = 0.0);
         let scene = RayScene::new(&result.mesh);
+        (result.albedo[2], result.lit_color[2]) = (Vec3::ZERO, Vec3::splat(100.0));
         let light = VertexLight::new(&result, &scene, &[true; 3]);
-        let off = light.radiance(1, Vec3::new(0.0, 0.0, 1.0)) - result.lit_color[1];
+        let eye = Vec3::new(0.0, 0.0, 1.0);
+        let off = light.radiance(1, eye) - result.lit_color[1];
         assert!(off.length() < 1e-5, "{off}");
+        assert_eq!(light.radiance(2, eye), Vec3::ZERO, "an albedo of nothing");
     }
 
     #[test]
