@@ -21,8 +21,12 @@ target=aarch64-unknown-linux-gnu
 for tool in aarch64-linux-gnu-gcc qemu-aarch64-static; do command -v $tool >/dev/null || skip "$tool is not installed"; done
 [ -d "$(rustc --print sysroot)/lib/rustlib/$target" ] || skip "the Rust target $target is not installed"
 
+# Loader and libraries of one installation: the cross compiler's, where there are none of the architecture itself. Mixed, programs
+# hang as soon as they start a thread.
+root=/
+[ -e /lib/ld-linux-aarch64.so.1 ] || root=/usr/aarch64-linux-gnu
 export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
-export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64-static -L /usr/aarch64-linux-gnu"
+export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_RUNNER="qemu-aarch64-static -L $root"
 # The same bytes as with link-time optimisation, sooner.
 export CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
 if [ -z "${LUMISCAN:-}" ]; then
@@ -32,7 +36,7 @@ fi
 cargo build --release --locked -p capture --bin lumiscan --target $target
 
 arm=target/$target/release/lumiscan
-emulated() { qemu-aarch64-static -L /usr/aarch64-linux-gnu "$@"; }
+emulated() { qemu-aarch64-static -L "$root" "$@"; }
 
 # Fused and approximate operations give other bits than x86-64. The cube root's are fused there, too; tiny-skia draws pictures.
 fused=$(aarch64-linux-gnu-objdump -dC --no-show-raw-insn "$arm" |
@@ -64,7 +68,7 @@ for crate in recordings firmware-config isa fusion estimator; do cargo test --re
 cargo test --release --locked --target $target -p capture --bins
 
 # These tests start the executable, and that starts itself: the kernel has to know qemu-user as the interpreter of aarch64.
-export QEMU_LD_PREFIX=/usr/aarch64-linux-gnu
+export QEMU_LD_PREFIX=$root
 if "$arm" --version >/dev/null 2>&1; then
     cargo test --release --locked --target $target -p capture --test commands --test bad_input --test replay
 else

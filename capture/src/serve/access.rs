@@ -2,6 +2,7 @@
 
 use crate::device_folder::files::replace_unsynced;
 use crate::failure::Failure;
+use crate::serve::guesses::{Guesses, TooMany};
 use crate::serve::http::request::{Method, Request};
 use std::fs::OpenOptions;
 use std::io::Write;
@@ -9,7 +10,6 @@ use std::net::{IpAddr, Ipv6Addr};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
 
 /// The cookie of a paired browser.
 const COOKIE: &str = "lumiscan";
@@ -24,8 +24,6 @@ const CODES: usize = 8;
 const BROWSERS: usize = 32;
 /// Names of the box.
 const NAMES: usize = 64;
-/// Time that a wrong code or token costs. Wrong guesses of all clients wait for each other.
-const GUESS: Duration = Duration::from_secs(1);
 
 /// How a client may act.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,6 +32,17 @@ pub enum Standing {
     Browser,
     /// A program with the token, or a client on the box itself where those need none.
     Program,
+}
+
+/// What became of a pairing code.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Pairing {
+    /// It was right: the cookie that pairs the browser.
+    Paired(String),
+    /// It is wrong, or was used before.
+    Wrong,
+    /// It was not looked at, since too many guesses wait for their answer.
+    TooMany,
 }
 
 /// The secrets, and who knows them.
@@ -45,7 +54,7 @@ pub struct Access {
     browsers: Mutex<Vec<String>>,
     /// Where browsers are remembered.
     file: Option<PathBuf>,
-    guessing: Mutex<()>,
+    guesses: Guesses,
 }
 
 impl Access {
@@ -69,7 +78,7 @@ impl Access {
             codes: Mutex::default(),
             browsers: Mutex::new(browsers),
             file,
-            guessing: Mutex::default(),
+            guesses: Guesses::default(),
         })
     }
 
@@ -90,19 +99,21 @@ impl Access {
         Ok(code)
     }
 
-    /// Uses a pairing code up; returns the cookie that pairs the browser. A wrong code costs time.
+    /// Uses a pairing code up. A wrong code costs time.
     ///
     /// # Errors
     /// The system has no random numbers.
-    pub fn pair(&self, code: &str) -> Result<Option<String>, Failure> {
+    pub fn pair(&self, code: &str, peer: IpAddr) -> Result<Pairing, Failure> {
+        // Not looked at where too many wait, so that no guess is free.
+        let Ok(guess) = self.guesses.begin(peer) else { return Ok(Pairing::TooMany) };
         let found = {
             let mut codes = lock(&self.codes);
             let at = codes.iter().position(|c| is_same(c, code));
             at.map(|i| codes.remove(i))
         };
         if found.is_none() {
-            self.punish();
-            return Ok(None);
+            guess.punish();
+            return Ok(Pairing::Wrong);
         }
         let token = random(TOKEN_LETTERS)?;
         let mut browsers = lock(&self.browsers);
@@ -113,32 +124,35 @@ impl Access {
                 tracing::warn!("{}: {e}; browsers have to be paired again after a restart", file.display());
             }
         }
-        Ok(Some(format!("{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax; Max-Age=31536000")))
+        Ok(Pairing::Paired(format!("{COOKIE}={token}; Path=/; HttpOnly; SameSite=Lax; Max-Age=31536000")))
     }
 
     /// How the client of a request may act; `None` if it is a stranger. A wrong token costs time.
-    #[must_use]
-    pub fn standing(&self, request: &Request, peer: IpAddr) -> Option<Standing> {
+    ///
+    /// # Errors
+    /// A wrong token, and too many guesses wait for their answer.
+    pub fn standing(&self, request: &Request, peer: IpAddr) -> Result<Option<Standing>, TooMany> {
+        let wrong = || self.guesses.begin(peer).map(|guess| guess.punish());
         if let Some(given) = request.header("authorization") {
             let token = given.strip_prefix("Bearer ").unwrap_or("").trim();
             if self.program.as_ref().is_some_and(|own| is_same(own, token)) {
-                return Some(Standing::Program);
+                return Ok(Some(Standing::Program));
             }
-            self.punish();
-            return None;
+            wrong()?;
+            return Ok(None);
         }
         let cookies = request.header("cookie").unwrap_or_default().split(';');
         let given = cookies.filter_map(|c| c.trim().strip_prefix(COOKIE)?.strip_prefix('=')).next();
         if given.is_some_and(|token| lock(&self.browsers).iter().any(|own| is_same(own, token))) {
-            return Some(Standing::Browser);
+            return Ok(Some(Standing::Browser));
         }
         if peer.is_loopback() && !self.pair_loopback {
-            return Some(Standing::Program);
+            return Ok(Some(Standing::Program));
         }
         if given.is_some() {
-            self.punish();
+            wrong()?;
         }
-        None
+        Ok(None)
     }
 
     /// True if the request names this box: a foreign site whose name was rebound to our address does not.
@@ -168,12 +182,6 @@ impl Access {
             }
             None => standing == Standing::Program,
         }
-    }
-
-    /// Waits for all wrong guesses before this one, and then some.
-    fn punish(&self) {
-        let _turn = lock(&self.guessing);
-        std::thread::sleep(GUESS);
     }
 }
 
@@ -227,6 +235,7 @@ fn owner_only(path: &Path) -> std::io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::serve::guesses::COST;
     use std::time::Instant;
 
     fn request(text: &str) -> Request {
@@ -245,17 +254,23 @@ mod tests {
         let file = folder.path().join("browsers");
         let a = access(Some(file.clone()));
         let code = a.new_code().unwrap();
-        let cookie = a.pair(&code).unwrap().unwrap();
+        let Pairing::Paired(cookie) = a.pair(&code, PEER).unwrap() else { panic!("a code that was made") };
         assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite"));
         let token = cookie.split(';').next().unwrap();
         let with = request(&format!("GET / HTTP/1.1\r\nCookie: a=b; {token}"));
-        assert_eq!(a.standing(&with, PEER), Some(Standing::Browser));
-        assert_eq!(access(Some(file)).standing(&with, PEER), Some(Standing::Browser), "after a restart");
+        assert_eq!(a.standing(&with, PEER), Ok(Some(Standing::Browser)));
+        assert_eq!(access(Some(file)).standing(&with, PEER), Ok(Some(Standing::Browser)), "after a restart");
         let began = Instant::now();
-        assert!(a.pair(&code).unwrap().is_none(), "used up");
-        assert_eq!(a.standing(&request("GET / HTTP/1.1\r\nCookie: lumiscan=wrong"), PEER), None);
-        assert!(began.elapsed() >= 2 * GUESS, "each guess costs time");
-        assert_eq!(a.standing(&request("GET / HTTP/1.1"), PEER), None);
+        assert_eq!(a.pair(&code, PEER).unwrap(), Pairing::Wrong, "used up");
+        let wrong = request("GET / HTTP/1.1\r\nCookie: lumiscan=wrong");
+        assert_eq!(a.standing(&wrong, PEER), Ok(None));
+        assert!(began.elapsed() >= 2 * COST, "each guess costs time");
+        assert_eq!(a.standing(&request("GET / HTTP/1.1"), PEER), Ok(None));
+        let _waiting = a.guesses.begin(PEER).unwrap();
+        let right = a.new_code().unwrap();
+        assert_eq!(a.pair(&right, PEER).unwrap(), Pairing::TooMany, "not looked at");
+        assert_eq!(a.standing(&wrong, PEER), Err(TooMany));
+        assert_eq!(a.standing(&with, PEER), Ok(Some(Standing::Browser)), "who is paired is not concerned");
     }
 
     #[test]
@@ -265,7 +280,7 @@ mod tests {
         let a = Access::new(vec![], true, Some(&path), None).unwrap();
         let token = std::fs::read_to_string(&path).unwrap();
         let with = request(&format!("POST / HTTP/1.1\r\nAuthorization: Bearer {}", token.trim()));
-        assert_eq!(a.standing(&with, PEER), Some(Standing::Program));
+        assert_eq!(a.standing(&with, PEER), Ok(Some(Standing::Program)));
         assert!(Access::may_change(&with, Standing::Program));
         std::fs::write(&path, "short").unwrap();
         assert!(Access::new(vec![], true, Some(&path), None).is_err());
@@ -306,7 +321,7 @@ mod tests {
     #[test]
     fn loopback_needs_no_pairing_only_if_asked() {
         let a = Access::new(vec![], false, None, None).unwrap();
-        assert_eq!(a.standing(&request("GET / HTTP/1.1"), PEER), Some(Standing::Program));
-        assert_eq!(a.standing(&request("GET / HTTP/1.1"), IpAddr::from([10, 0, 0, 9])), None);
+        assert_eq!(a.standing(&request("GET / HTTP/1.1"), PEER), Ok(Some(Standing::Program)));
+        assert_eq!(a.standing(&request("GET / HTTP/1.1"), IpAddr::from([10, 0, 0, 9])), Ok(None));
     }
 }

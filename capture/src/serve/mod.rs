@@ -12,6 +12,7 @@ mod access;
 pub mod announcement;
 pub mod api;
 mod context;
+mod guesses;
 pub mod http;
 mod jobs;
 mod light;

@@ -1,17 +1,22 @@
 //! From a request to its answer: first who asks and from where, then what.
 
-use crate::serve::access::Access;
+use crate::serve::access::{Access, Pairing};
 use crate::serve::api::{device, files, live, render, scan, scans, status};
 use crate::serve::context::Context;
+use crate::serve::guesses::TooMany;
 use crate::serve::http::connection::Asked;
 use crate::serve::http::request::Method;
 use crate::serve::http::response::{Body, Response};
+use std::net::IpAddr;
 use std::sync::Arc;
 
 /// The page that a stranger sees: no script, nothing of the box.
 const PAIRING_PAGE: &str = include_str!("page/pair.html");
 const PAIRING_POLICY: &str =
     "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'";
+
+/// When to try again, seconds.
+const RETRY: (&str, &str) = ("Retry-After", "2");
 
 /// Files of the pages: path, type, contents.
 const PAGES: &[(&str, &str, &str)] = &[
@@ -41,14 +46,18 @@ pub fn answer(context: &Arc<Context>, asked: Asked) -> Response {
         && request.method == Method::Get
         && let Some(code) = request.query.get("code")
     {
-        return pair(context, code);
+        return pair(context, code, peer);
     }
-    let Some(standing) = context.access.standing(&request, peer) else {
-        return if request.method == Method::Get && request.path.is_empty() {
-            pairing_page(401)
-        } else {
-            Response::error(401, "not paired; open the address with the pairing code, or send the token")
-        };
+    let stranger = |status, told| match request.method {
+        Method::Get if request.path.is_empty() => pairing_page(status),
+        _ => Response::error(status, told),
+    };
+    let standing = match context.access.standing(&request, peer) {
+        Ok(Some(standing)) => standing,
+        Ok(None) => return stranger(401, "not paired; open the address with the pairing code, or send the token"),
+        Err(TooMany) => {
+            return stranger(429, "too many wrong codes and tokens; try again in a moment").with(RETRY.0, RETRY.1);
+        }
     };
     if !Access::may_change(&request, standing) {
         return Response::error(403, "changes are taken from the box's own pages and from programs with the token");
@@ -93,20 +102,25 @@ fn page(name: &str) -> Response {
     )
 }
 
-fn pair(context: &Context, code: &str) -> Response {
-    match context.access.pair(code) {
-        Ok(Some(cookie)) => {
+fn pair(context: &Context, code: &str, peer: IpAddr) -> Response {
+    match context.access.pair(code, peer) {
+        Ok(Pairing::Paired(cookie)) => {
             // Never sent in clear, where it need not be.
             let secure = if context.scheme == "https" { "; Secure" } else { "" };
             Response::redirect("/").with("Set-Cookie", format!("{cookie}{secure}"))
         }
-        Ok(None) => pairing_page(403),
+        Ok(Pairing::Wrong) => pairing_page(403),
+        Ok(Pairing::TooMany) => pairing_page(429).with(RETRY.0, RETRY.1),
         Err(e) => Response::error(500, &e.to_string()),
     }
 }
 
 fn pairing_page(status: u16) -> Response {
-    let told = if status == 403 { "That code is wrong or was used before." } else { "" };
+    let told = match status {
+        403 => "That code is wrong or was used before.",
+        429 => "Too many wrong codes are waiting for their answer. Try again in a moment.",
+        _ => "",
+    };
     let page = PAIRING_PAGE.replace("{told}", told);
     Response::text(status, "text/html; charset=utf-8", page).with("Content-Security-Policy", PAIRING_POLICY)
 }
