@@ -61,6 +61,18 @@ fn only_those_who_are_paired_see_anything() {
     assert_eq!(stranger("GET", "/?code=abcdefghijkm").status, 403);
     assert_eq!(s.ask("GET", "/api/status", "Authorization: Bearer x\r\n", "").status, 401);
     assert!(began.elapsed() >= Duration::from_secs(2));
+    // Of many at once, one waits for its answer and holds a connection; the others are told to come back.
+    let began = Instant::now();
+    let mut answers: Vec<u16> = std::thread::scope(|scope| {
+        let guesses: Vec<_> =
+            (0..6).map(|_| scope.spawn(|| s.ask("GET", "/?code=abcdefghijkm", "", "").status)).collect();
+        guesses.into_iter().map(|g| g.join().unwrap()).collect()
+    });
+    answers.sort_unstable();
+    let looked_at = answers.iter().take_while(|a| **a == 403).count();
+    assert!(looked_at >= 1 && answers[looked_at..].iter().all(|a| *a == 429), "{answers:?}");
+    let costs = Duration::from_secs(looked_at as u64);
+    assert!(looked_at < 6 && began.elapsed() >= costs, "{looked_at} in {:?}", began.elapsed());
     let pairing = format!("/?code={}", s.code);
     assert_eq!(stranger("HEAD", &pairing).status, 401, "a preview of the address does not use it up");
     let paired = stranger("GET", &pairing);
