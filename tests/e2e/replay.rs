@@ -157,10 +157,13 @@ fn endless(source: &Path, device: &Path, extra: &[&str]) -> Child {
         .unwrap()
 }
 
+/// Longest wait; an emulated processor needs minutes for the few frames.
+const PATIENCE: Duration = Duration::from_secs(900);
+
 fn wait_for(what: &str, mut happened: impl FnMut() -> bool) {
     let started = Instant::now();
     while !happened() {
-        assert!(started.elapsed() < Duration::from_secs(120), "{what} did not happen");
+        assert!(started.elapsed() < PATIENCE, "{what} did not happen");
         std::thread::sleep(Duration::from_millis(5));
     }
 }

@@ -32,6 +32,13 @@ impl SimBus {
     pub fn log(&self) -> SimLog {
         lock(&self.shared.log).clone()
     }
+
+    /// What the clock shows. The simulated one also runs while the reader waits, longer on a slow machine.
+    #[cfg(test)]
+    #[must_use]
+    pub fn now(&self) -> Duration {
+        self.shared.now()
+    }
 }
 
 impl Bus for SimBus {
