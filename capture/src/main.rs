@@ -10,6 +10,7 @@ mod failure;
 mod handoff;
 pub mod kinect;
 mod live_config;
+mod lock;
 mod memory;
 mod orders;
 mod pages;

@@ -2,6 +2,7 @@
 
 use crate::device_folder::files::replace_unsynced;
 use crate::failure::Failure;
+use crate::lock::lock;
 use crate::serve::guesses::{Guesses, TooMany};
 use crate::serve::http::request::{Method, Request};
 use std::fs::OpenOptions;
@@ -9,7 +10,7 @@ use std::io::Write;
 use std::net::{IpAddr, Ipv6Addr};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 /// The cookie of a paired browser.
 const COOKIE: &str = "lumiscan";
@@ -183,10 +184,6 @@ impl Access {
             None => standing == Standing::Program,
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn push(list: &mut Vec<String>, new: String, most: usize) {

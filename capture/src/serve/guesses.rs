@@ -1,7 +1,8 @@
 //! What a wrong code or token costs: time, in which the clients wait for each other. Few of them may wait: each holds a connection.
 
+use crate::lock::lock;
 use std::net::IpAddr;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Duration;
 
 /// Time that a wrong guess costs.
@@ -53,10 +54,6 @@ impl Drop for Guess<'_> {
     fn drop(&mut self) {
         lock(&self.all.waiting).retain(|p| *p != self.peer);
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -15,9 +15,6 @@ const PAIRING_PAGE: &str = include_str!("page/pair.html");
 const PAIRING_POLICY: &str =
     "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'";
 
-/// When to try again, seconds.
-const RETRY: (&str, &str) = ("Retry-After", "2");
-
 /// Files of the pages: path, type, contents.
 const PAGES: &[(&str, &str, &str)] = &[
     ("", "text/html; charset=utf-8", include_str!("page/live.html")),
@@ -56,7 +53,7 @@ pub fn answer(context: &Arc<Context>, asked: Asked) -> Response {
         Ok(Some(standing)) => standing,
         Ok(None) => return stranger(401, "not paired; open the address with the pairing code, or send the token"),
         Err(TooMany) => {
-            return stranger(429, "too many wrong codes and tokens; try again in a moment").with(RETRY.0, RETRY.1);
+            return later(stranger(429, "too many wrong codes and tokens; try again in a moment"));
         }
     };
     if !Access::may_change(&request, standing) {
@@ -110,9 +107,14 @@ fn pair(context: &Context, code: &str, peer: IpAddr) -> Response {
             Response::redirect("/").with("Set-Cookie", format!("{cookie}{secure}"))
         }
         Ok(Pairing::Wrong) => pairing_page(403),
-        Ok(Pairing::TooMany) => pairing_page(429).with(RETRY.0, RETRY.1),
+        Ok(Pairing::TooMany) => later(pairing_page(429)),
         Err(e) => Response::error(500, &e.to_string()),
     }
+}
+
+/// Says when to try again, in seconds.
+fn later(refusal: Response) -> Response {
+    refusal.with("Retry-After", "2")
 }
 
 fn pairing_page(status: u16) -> Response {

@@ -1,11 +1,12 @@
 //! A USB bus with a simulated Kinect on it.
 
 use crate::kinect::transport::{Bus, Found, Transport, UsbError};
+use crate::lock::lock;
 use crate::simulator::device::SimKinect;
 use crate::simulator::plan::SimPlan;
+use crate::simulator::shared::Shared;
 #[cfg(test)]
 use crate::simulator::shared::SimLog;
-use crate::simulator::shared::{Shared, lock};
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -4,12 +4,13 @@
 use crate::kinect::frame_queue::PacketSink;
 use crate::kinect::protocol;
 use crate::kinect::transport::{Setup, Transport, UsbError};
+use crate::lock::lock;
 use crate::simulator::calibration::{PLANE, REGISTRATION_WORDS, calibration, fixed_parameters};
 use crate::simulator::depth_encoder::DepthEncoder;
 use crate::simulator::plan::SimPlan;
 use crate::simulator::random::Random;
 use crate::simulator::scenery::Player;
-use crate::simulator::shared::{Shared, lock};
+use crate::simulator::shared::Shared;
 use crate::simulator::stream::Streamer;
 use firmware_config::kinect_models::{
     BAYER_SXGA, BAYER_VGA, DEPTH_10, DEPTH_11, DEPTH_ENDPOINT, Model, Part, VIDEO_ENDPOINT,

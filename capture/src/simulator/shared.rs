@@ -1,10 +1,11 @@
 //! State that the simulated bus, the opened device and its stream thread share.
 
+use crate::lock::lock;
 use crate::simulator::plan::SimPlan;
 use firmware_config::kinect_models::DEPTH_ENDPOINT;
 use std::collections::BTreeMap;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// What the simulated device received and did.
@@ -41,11 +42,6 @@ pub struct Shared {
     began: Instant,
     /// Nanoseconds of a simulated clock; `None` in real time.
     clock: Option<AtomicU64>,
-}
-
-/// Locks a mutex, poisoned or not.
-pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Shared {

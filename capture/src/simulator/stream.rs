@@ -1,10 +1,11 @@
 //! The isochronous streams of the simulated Kinect: frames cut into packets, with the faults of the plan.
 
 use crate::kinect::frame_queue::PacketSink;
+use crate::lock::lock;
 use crate::simulator::plan::SimPlan;
 use crate::simulator::random::Random;
 use crate::simulator::scenery::Player;
-use crate::simulator::shared::{Shared, lock};
+use crate::simulator::shared::Shared;
 use firmware_config::kinect_models::StreamFormat;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -1,5 +1,6 @@
 //! Where the pipeline leaves what clients may see. It never waits for them, and fusion never depends on them.
 
+use crate::lock::lock;
 use crate::serve::light::so_far::LightSoFar;
 use crate::serve::live::advice::{Observed, advice, least};
 use crate::serve::live::pictures::{Picture, Pictures};
@@ -10,7 +11,7 @@ use glam::DVec3;
 use recordings::types::{CameraModel, Pose, RgbdFrame, Sensor, TimestampNs};
 use serde::Serialize;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// A client that asked for a picture or the surface counts as watching for so long.
@@ -290,8 +291,4 @@ impl Hub {
 
 fn position(p: DVec3) -> [f32; 3] {
     p.as_vec3().to_array()
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
