@@ -27,6 +27,7 @@ const DEFAULT_PORT: u16 = 8080;
 
 /// Runs the command.
 pub fn run(args: &cli::Capture, reporter: &Reporter) -> Result<(), Failure> {
+    memory::return_large_blocks();
     let config = load(&args.settings)?;
     use_threads(args.threads)?;
     let plan = memory::planned(&config)?;

@@ -246,6 +246,7 @@ impl Daemon<'_> {
 
     fn publish(&self, staging: Staging, name: String, entry: CaptureEntry) -> Result<(), Failure> {
         self.board.enter(State::Estimating);
+        memory::give_back();
         let daemon = &self.live_config.get().daemon;
         let effort = Effort {
             budget: daemon.budget_s,

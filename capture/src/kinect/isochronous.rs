@@ -1,7 +1,7 @@
 //! Isochronous transfers of depth and colour through libusb's FFI, which `rusb` does not wrap.
 //!
 //! # Safety
-//! All `unsafe` of this crate's default build is in this file. Each block refers to a point of the argument by number:
+//! All `unsafe` of this crate's default build is in this file, but for two calls of the allocator in `memory.rs`. Each block refers to a point of the argument by number:
 //!
 //! 1. A transfer is allocated by `libusb_alloc_transfer`, checked for null, and freed exactly once, by
 //!    [`Transfer::drop`], when it is not in flight: [`Streams`] frees transfers only after `in_flight` has fallen to 0,
