@@ -1,7 +1,8 @@
 //! Settings that may change while the daemon runs: a scan takes them as they are when it begins.
 
+use crate::lock::lock;
 use firmware_config::{Config, ConfigError};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 
 /// The settings that may change. Others are bound to what has been started with them: threads, memory, addresses, sensor.
 pub const CHANGEABLE: [&str; 9] = [
@@ -55,7 +56,7 @@ impl LiveConfig {
     }
 
     fn lock(&self) -> MutexGuard<'_, Config> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

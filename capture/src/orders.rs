@@ -1,10 +1,11 @@
 //! Requests of the user: start, stop, pause, discard and name a scan.
 
 use crate::failure::Failure;
+use crate::lock::lock;
 use crate::status::State;
 use clap::ValueEnum;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// A request to the daemon, on the command line and on the control socket.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -119,7 +120,7 @@ impl Orders {
 
     /// Names the scan.
     pub fn set_name(&self, name: &str) {
-        *self.name.lock().unwrap_or_else(PoisonError::into_inner) = Some(name.to_owned());
+        *lock(&self.name) = Some(name.to_owned());
     }
 
     /// True once for each order to start.
@@ -149,7 +150,7 @@ impl Orders {
     /// The name that the user gave to the scan.
     #[must_use]
     pub fn name(&self) -> Option<String> {
-        self.name.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.name).clone()
     }
 
     /// Discards pending orders, and what concerned the last scan.
@@ -157,6 +158,6 @@ impl Orders {
         for order in [&self.start, &self.stop, &self.paused, &self.discard] {
             order.store(false, Ordering::Release);
         }
-        *self.name.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        *lock(&self.name) = None;
     }
 }

@@ -1,10 +1,11 @@
 //! The state of the box: counters shared by the daemon, the capture and the status file.
 
 use crate::kinect::live::LiveStats;
+use crate::lock::lock;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
 use std::fmt::{Display, Formatter};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
 /// What the box does.
@@ -155,7 +156,7 @@ impl Board {
 
     /// Enters `Scanning` with fresh figures.
     pub fn begin_scan(&self, name: &str) {
-        *self.fused_since.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
+        *lock(&self.fused_since) = Some(Instant::now());
         let mut s = self.lock();
         s.state = State::Scanning;
         s.drops = Drops::default();
@@ -188,7 +189,7 @@ impl Board {
 
     /// Counts a pair that fusion has taken.
     pub fn fused(&self, tracked: bool, kept: bool, blocks: u64, block_m: f64) {
-        let since = *self.fused_since.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = *lock(&self.fused_since);
         let mut s = self.lock();
         let Some(scan) = &mut s.scan else { return };
         scan.fused_pairs += 1;
@@ -206,6 +207,6 @@ impl Board {
     }
 
     fn lock(&self) -> MutexGuard<'_, Status> {
-        self.status.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.status)
     }
 }

@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, fixture, lumiscan, ok, tum_folder};
+use common::{EXECUTABLE, arg, fixture, ok, tum_folder};
 use recordings::result::Estimate;
 use rustix::process::{Pid, Signal, kill_process};
 use std::io::{BufRead, BufReader};
@@ -29,7 +29,7 @@ fn scan(name: &str) -> PathBuf {
 
 /// The process, whose progress and log can be read.
 fn estimate(scan: &Path, result: &Path, budget: f64) -> Child {
-    let mut command = Command::new(lumiscan().get_program());
+    let mut command = Command::new(EXECUTABLE);
     command.args(["--json", "estimate", &arg(scan), "-o", &arg(result), "--budget", &budget.to_string()]);
     command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
 }

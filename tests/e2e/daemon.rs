@@ -5,7 +5,7 @@
 mod common;
 
 use common::daemon::{Daemon, PATIENCE, manifest, recording, scans, status_file, unfinished};
-use common::{arg, child_of, json, lumiscan, ok, run, text};
+use common::{EXECUTABLE, arg, child_of, json, ok, run, text};
 use serde_json::Value;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -144,7 +144,7 @@ fn a_full_disk_ends_the_scan_cleanly() {
     let device = dir.path().join("device");
     // Files longer than 600 KiB are refused, as by a full disk.
     let mut shell = Command::new("bash");
-    shell.args(["-c", "trap '' XFSZ; ulimit -f 600; exec \"$0\" \"$@\""]).arg(lumiscan().get_program());
+    shell.args(["-c", "trap '' XFSZ; ulimit -f 600; exec \"$0\" \"$@\""]).arg(EXECUTABLE);
     let mut d = Daemon::start_by(shell, &device, &format!("{table},fast"), &["--no-estimate"]);
     d.wait_for("ready");
     assert!(d.order("start"));
@@ -220,7 +220,7 @@ fn what_follows_a_result_survives_a_power_cut() {
     let dir = tempfile::tempdir().unwrap();
     let (source, device) = (dir.path().join("table"), dir.path().join("device"));
     common::tum_folder(&source, 24);
-    let mut replay = Command::new(lumiscan().get_program())
+    let mut replay = Command::new(EXECUTABLE)
         .args(["replay", &arg(&source), "--device", &arg(&device), "--rounds", "1"])
         .args(["--set", "fusion.voxel_size_m=0.01"])
         .stdout(Stdio::null())
@@ -360,7 +360,7 @@ fn the_service_manager_is_kept_informed() {
     let path = dir.path().join("notify");
     let socket = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
-    let mut command = Command::new(lumiscan().get_program());
+    let mut command = Command::new(EXECUTABLE);
     command
         .args(["capture", "--device", &arg(dir.path()), "--simulate", "pattern,fast"])
         .env("NOTIFY_SOCKET", &path)

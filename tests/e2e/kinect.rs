@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, fails, json, lumiscan, ok, run, text};
+use common::{EXECUTABLE, arg, fails, json, ok, run, text};
 use std::path::Path;
 use tests::shared;
 
@@ -106,8 +106,7 @@ fn packets_replay_bit_for_bit() {
 fn ctrl_c_completes_the_recording() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.lrec");
-    let program = lumiscan().get_program().to_owned();
-    let mut child = std::process::Command::new(program)
+    let mut child = std::process::Command::new(EXECUTABLE)
         .args(["record", &arg(&path), "--simulate", "pattern"])
         .stdout(std::process::Stdio::null())
         .stderr(std::process::Stdio::null())

@@ -6,7 +6,7 @@
 mod common;
 
 use common::daemon::{Daemon, PATIENCE, check_files, manifest, recording, scans, status_file, unfinished};
-use common::{arg, lumiscan, ok, preload, tiny_recording};
+use common::{EXECUTABLE, arg, ok, preload, tiny_recording};
 use std::collections::BTreeMap;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ fn scans_of_a_box_without_a_clock_get_their_date() {
     let (device, is_set) = (dir.path().join("device"), dir.path().join("set"));
     let library = preload("preload/clock.c", dir.path());
     let plan = format!("{},fast", recording());
-    let mut command = Command::new(lumiscan().get_program());
+    let mut command = Command::new(EXECUTABLE);
     command.env("LD_PRELOAD", &library).env("CLOCK_IS_SET", &is_set);
     let mut d = Daemon::start_by(command, &device, &plan, &["--no-estimate"]);
     for n in 1..=2 {
@@ -123,7 +123,7 @@ impl Scanner {
         let _ = std::fs::remove_file(&log);
         copy(&path("template"), &device);
         std::fs::create_dir(&kept).unwrap();
-        let mut command = Command::new(lumiscan().get_program());
+        let mut command = Command::new(EXECUTABLE);
         command.env("LD_PRELOAD", &self.library).env("CUT_ROOT", &device).env("CUT_KEEP", &kept);
         command.env("CUT_LOG", &log).env("CUT_AT", at.to_string()).process_group(0);
         let plan = format!("{},fast,unplug_at_frame=20", recording());

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, child_of, json, lumiscan, ok, scans, text, tum_folder};
+use common::{EXECUTABLE, arg, child_of, json, ok, scans, text, tum_folder};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -147,7 +147,7 @@ fn loops_play_forward_and_backward_with_continuing_stamps() {
 
 /// Starts a replay that goes on for long.
 fn endless(source: &Path, device: &Path, extra: &[&str]) -> Child {
-    Command::new(lumiscan().get_program())
+    Command::new(EXECUTABLE)
         .args(["replay", &arg(source), "--device", &arg(device)])
         .args(COARSE)
         .args(extra)

@@ -7,7 +7,7 @@ mod common;
 
 use common::daemon::{Daemon, check_files, recording, scans, status_file, unfinished};
 use common::usage::{Usage, command_line, processes_with, slope};
-use common::{arg, child_of, lumiscan, ok};
+use common::{EXECUTABLE, arg, child_of, ok};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -226,7 +226,7 @@ impl Process {
         let log_from = std::fs::metadata(device.join("log")).map_or(0, |m| m.len() as usize);
         // Without the signal of too long files, their writes fail with an error.
         let mut shell = Command::new("bash");
-        shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]).arg(lumiscan().get_program());
+        shell.args(["-c", "trap '' XFSZ; exec \"$0\" \"$@\""]).arg(EXECUTABLE);
         let more: Vec<&str> = more.iter().map(String::as_str).collect();
         let daemon = Daemon::start_by(shell, device, plan, &more);
         let mut own = Self { daemon, log_from, finished: 0, peak: Usage::default() };

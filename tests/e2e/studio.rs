@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, lumiscan, python, small_scan, text};
+use common::{EXECUTABLE, arg, lumiscan, python, small_scan, text};
 use serde_json::Value;
 use std::path::Path;
 
@@ -75,10 +75,9 @@ fn the_line_says_whether_to_try_again() {
 fn scans_through_hyperqueue() {
     let Some(mut python) = python("hyperqueue") else { return };
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tools/studio");
-    let executable = lumiscan().get_program().to_owned();
     let command =
         python.args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."]);
-    let output = command.current_dir(folder).env("LUMISCAN", executable).output().unwrap();
+    let output = command.current_dir(folder).env("LUMISCAN", EXECUTABLE).output().unwrap();
     println!("{}", text(&output.stderr));
     assert!(output.status.success(), "{}", text(&output.stderr));
 }

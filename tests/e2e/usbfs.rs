@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{arg, lumiscan, ok, preload, text};
+use common::{EXECUTABLE, arg, ok, preload, text};
 use recordings::recording::{Event, RecordingReader};
 use recordings::types::UsbPacket;
 use serde_json::Value;
@@ -104,7 +104,7 @@ impl Machine {
 
     fn command(&self, args: &[&str]) -> Command {
         let stage = stage();
-        let mut command = Command::new(lumiscan().get_program());
+        let mut command = Command::new(EXECUTABLE);
         command
             .args(args)
             .env("LD_PRELOAD", &stage.library)

@@ -13,6 +13,7 @@ use crate::kinect::live::{Live, Polled};
 use crate::kinect::protocol::KinectError;
 use crate::kinect::transport::{Bus, UsbError};
 use crate::live_config::LiveConfig;
+use crate::lock::lock;
 use crate::memory;
 use crate::orders::Orders;
 use crate::pipeline::{self, Job};
@@ -31,7 +32,7 @@ use recordings::recording::Event;
 use recordings::scan::Scan;
 use std::cell::Cell;
 use std::path::Path;
-use std::sync::{Arc, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Time between two searches for a Kinect, or checks that it is still plugged in.
@@ -224,7 +225,7 @@ impl Daemon<'_> {
         };
         // A signal ends the capture; what was captured is still fused and written.
         let captured = pipeline::run(pairs, &job, &self.stop.without_signals(), self.reporter);
-        let ending = ending.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let ending = lock(&ending).take();
         if let Some(problem) = ending.and_then(|e| e.problem()) {
             self.report_problem(&problem);
         }

@@ -1,8 +1,9 @@
 //! Pools of frame buffers. A buffer is written when it is made, so that the kernel backs it with memory then and not while
 //! frames arrive; and it comes back when its frame is done with.
 
+use crate::lock::lock;
 use recordings::recording::Event;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// Spare buffers of one length, shared by those who fill them and those who empty them.
 #[derive(Debug)]
@@ -31,13 +32,13 @@ impl<T: Copy + From<u8>> Pool<T> {
     /// A buffer with any contents; a new one if none is spare.
     #[must_use]
     pub fn take(&self) -> Vec<T> {
-        let spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let spare = lock(&self.spare).pop();
         spare.unwrap_or_else(|| vec![T::from(1); self.length])
     }
 
     /// Takes a buffer back; one of another length is none of this pool.
     pub fn give(&self, buffer: Vec<T>) {
-        let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut spare = lock(&self.spare);
         if buffer.len() == self.length && spare.len() < self.most {
             spare.push(buffer);
         }

@@ -3,9 +3,10 @@
 
 use crate::kinect::buffers::{Buffers, Pool};
 use crate::kinect::packet_assembler::{Assembled, Assembler, PacketStats};
+use crate::lock::lock;
 use firmware_config::kinect_models::StreamFormat;
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
 /// Frames beyond the queue whose buffers are kept: being assembled, decoded, paired and fused.
@@ -109,7 +110,7 @@ struct Shared {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

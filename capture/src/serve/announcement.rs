@@ -1,6 +1,7 @@
 //! The box's name in its networks, by multicast DNS (RFC 6762): who asks for `lumiscan-<serial>.local` is told the address of the
 //! page. In: queries from neighbours. Out: address records. One thread, one buffer, nothing is remembered of what was heard.
 
+use crate::lock::lock;
 use if_addrs::{IfAddr, Ifv4Addr};
 use rustix::net::sockopt;
 use rustix::net::{AddressFamily, SocketType, bind, socket};
@@ -9,7 +10,7 @@ use simple_dns::{CLASS, Name, Packet, PacketFlag, QCLASS, QTYPE, ResourceRecord,
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(224, 0, 0, 251), PORT);
@@ -51,7 +52,7 @@ impl Announcement {
 
     /// Announces this host name (without a dot at the end).
     pub fn set(&self, host: &str) {
-        *self.name.lock().unwrap_or_else(PoisonError::into_inner) = Some(host.to_owned());
+        *lock(&self.name) = Some(host.to_owned());
     }
 }
 
@@ -97,7 +98,7 @@ impl Responder {
         let mut buffer = vec![0; PACKET];
         let (mut looked, mut known): (Option<Instant>, Option<String>) = (None, None);
         while !ended.load(Ordering::Acquire) {
-            let current = name.lock().unwrap_or_else(PoisonError::into_inner).clone();
+            let current = lock(name).clone();
             let mut news = current != known;
             known = current;
             if looked.is_none_or(|t| t.elapsed() >= LOOK) {

@@ -3,6 +3,7 @@
 use crate::child_process::{IDLE, relay, wait};
 use crate::cli::{Effort, QualityPoint};
 use crate::failure::Failure;
+use crate::lock::lock;
 use crate::publish;
 use crate::report::{Reporter, Step};
 use crate::stop::Stop;
@@ -11,7 +12,7 @@ use std::ffi::OsString;
 use std::io::BufReader;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
 /// A picture that takes longer is given up.
@@ -135,7 +136,7 @@ impl Jobs {
     }
 
     fn lock(&self) -> MutexGuard<'_, Current> {
-        self.current.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.current)
     }
 }
 

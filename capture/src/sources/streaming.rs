@@ -5,6 +5,7 @@ use crate::kinect::buffers::Buffers;
 use crate::kinect::driver::Led;
 use crate::kinect::frame_queue::StreamKind;
 use crate::kinect::live::{Live, Polled};
+use crate::lock::lock;
 use crate::orders::Orders;
 use crate::sources::motion::Motion;
 use crate::status::Board;
@@ -14,7 +15,7 @@ use recordings::recording::Event;
 use recordings::types::{Sensor, TimestampNs};
 use std::collections::VecDeque;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Time between two checks of the disk.
@@ -143,7 +144,7 @@ impl Streaming {
                 self.observe(&frame);
                 return Some(frame);
             }
-            if self.ending.lock().unwrap_or_else(PoisonError::into_inner).is_some() {
+            if lock(&self.ending).is_some() {
                 return None;
             }
             if let Some(ending) = self.ending_now() {
@@ -198,7 +199,7 @@ impl Streaming {
     }
 
     fn end(&mut self, ending: Ending) -> Option<Event> {
-        let mut slot = self.ending.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = lock(&self.ending);
         if slot.is_none() {
             tracing::info!("the capture has ended: {ending:?}");
             self.live.set_led(if ending.problem().is_some() { Led::Error } else { Led::Busy });

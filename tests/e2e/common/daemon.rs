@@ -1,6 +1,6 @@
 //! A daemon on a simulated Kinect.
 
-use super::{arg, lumiscan, run, text};
+use super::{EXECUTABLE, arg, run, text};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -24,7 +24,7 @@ impl Drop for Daemon {
 
 impl Daemon {
     pub fn start(device: &Path, plan: &str, more: &[&str]) -> Self {
-        Self::start_by(Command::new(lumiscan().get_program()), device, plan, more)
+        Self::start_by(Command::new(EXECUTABLE), device, plan, more)
     }
 
     pub fn start_by(mut command: Command, device: &Path, plan: &str, more: &[&str]) -> Self {

@@ -1,7 +1,7 @@
 //! A small HTTP client, and the web page under test.
 
 use super::usage::Usage;
-use super::{arg, lumiscan};
+use super::{EXECUTABLE, arg};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -55,7 +55,7 @@ impl Served {
     /// Starts the executable and waits for the line with its address. The token of programs is in `folder`.
     pub fn start(folder: &Path, args: &[&str]) -> Self {
         let token = folder.join("token");
-        let mut child = Command::new(lumiscan().get_program())
+        let mut child = Command::new(EXECUTABLE)
             .args(args)
             .args(["--set", &format!("serve.token_file={}", arg(&token))])
             .env_remove("LUMISCAN_DEVICE")

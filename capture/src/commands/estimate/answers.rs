@@ -4,12 +4,13 @@
 use crate::device_folder::files::{beside, sync};
 use crate::device_folder::manifest::EstimatorEntry;
 use crate::failure::Failure;
+use crate::lock::lock;
 use crate::report::Reporter;
 use estimator::Progress;
 use recordings::decision::{Cut, Warning};
 use recordings::result::{Estimate, Origin};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
 /// Endings of what stands beside the result: the newest answer, the next one while it is written, and its unfinished file.
@@ -122,7 +123,7 @@ impl Answers {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -1,6 +1,7 @@
 //! The connections of a server: a fixed number of them, a share of it for each client address, and a rule for who gives way
 //! when all are taken.
 
+use crate::lock::lock;
 use std::net::{IpAddr, Shutdown, TcpStream};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -88,7 +89,7 @@ impl Slots {
     }
 
     fn lock(&self) -> MutexGuard<'_, Taken> {
-        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.taken)
     }
 }
 

@@ -1,5 +1,6 @@
 //! Live pictures: reduced and coded as JPEG once for all clients, in a thread of their own. A client gets the newest one.
 
+use crate::lock::lock;
 use crossbeam_channel::{Receiver, Sender, bounded};
 use jpeg_encoder::{ColorType, Encoder};
 use recordings::types::{Pose, RgbImage};
@@ -113,7 +114,7 @@ impl Pictures {
     }
 
     fn lock(&self) -> MutexGuard<'_, Coded> {
-        self.coded.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.coded.0)
     }
 }
 
@@ -126,7 +127,7 @@ fn code(raws: &Receiver<Raw>, out: &(Mutex<Coded>, Condvar), quality: u8) {
             continue;
         }
         let picture = Arc::new(Picture { jpeg: jpeg.into(), ..picture });
-        let mut coded = out.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut coded = lock(&out.0);
         if kept {
             if coded.kept.len() == REMEMBERED {
                 coded.kept.pop_front();

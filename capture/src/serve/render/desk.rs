@@ -1,8 +1,9 @@
 //! Where pictures are rendered: a folder with the files that clients sent, and the newest picture.
 
+use crate::lock::lock;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 /// Bytes and number of the files that are kept; more are refused.
 const MOST_BYTES: u64 = 32 << 20;
@@ -74,7 +75,7 @@ impl Desk {
     /// The name, the offset or the size does not fit, or the disk is full or gone.
     pub fn take(&self, name: &str, offset: u64, piece: &[u8]) -> Result<u64, Refusal> {
         let name = checked(name)?;
-        let _turn = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = lock(&self.writing);
         let failed = |e: std::io::Error| (500, e.to_string());
         self.folder().map_err(failed)?;
         let path = self.files().join(name);
@@ -100,7 +101,7 @@ impl Desk {
 
     /// Removes every file that was sent.
     pub fn clear(&self) {
-        let _turn = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
+        let _turn = lock(&self.writing);
         let _ = std::fs::remove_dir_all(self.files());
     }
 }
