@@ -2,7 +2,7 @@
 
 use crate::lock::lock;
 use firmware_config::{Config, ConfigError};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::Mutex;
 
 /// The settings that may change. Others are bound to what has been started with them: threads, memory, addresses, sensor.
 pub const CHANGEABLE: [&str; 9] = [
@@ -30,7 +30,7 @@ impl LiveConfig {
     /// As they are now.
     #[must_use]
     pub fn get(&self) -> Config {
-        self.lock().clone()
+        lock(&self.0).clone()
     }
 
     /// Changes settings, all of them or none.
@@ -38,7 +38,7 @@ impl LiveConfig {
     /// # Errors
     /// One may not change, or its value is out of range.
     pub fn change<'a>(&self, changes: impl Iterator<Item = (&'a str, String)>) -> Result<(), String> {
-        let mut config = self.lock();
+        let mut config = lock(&self.0);
         let mut changed = config.clone();
         for (key, value) in changes {
             if !CHANGEABLE.contains(&key) {
@@ -53,10 +53,6 @@ impl LiveConfig {
         }
         *config = changed;
         Ok(())
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Config> {
-        lock(&self.0)
     }
 }
 

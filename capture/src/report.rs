@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::io::{IsTerminal, Write};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tracing_subscriber::fmt::MakeWriter;
 
@@ -106,13 +106,13 @@ impl Reporter {
     /// The last step.
     #[must_use]
     pub fn current(&self) -> Option<Step> {
-        self.lock().step.clone()
+        lock(&self.state).step.clone()
     }
 
     /// The last log lines.
     #[must_use]
     pub fn log(&self) -> Vec<String> {
-        self.log.lock().iter().cloned().collect()
+        lock(&self.log.0).iter().cloned().collect()
     }
 
     /// True with `--verbose`.
@@ -123,12 +123,12 @@ impl Reporter {
 
     /// Shows the time left until `deadline` from now on.
     pub fn set_deadline(&self, deadline: Instant) {
-        self.lock().deadline = Some(deadline);
+        lock(&self.state).deadline = Some(deadline);
     }
 
     /// Shows a step.
     pub fn step(&self, step: &Step) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.step = Some(step.clone());
         let new = state.stage != step.stage;
         let left = state.deadline.map(|d| d.saturating_duration_since(Instant::now()).as_secs());
@@ -166,7 +166,7 @@ impl Reporter {
     /// Seconds of every stage so far, in the order they ran.
     #[must_use]
     pub fn stages(&self) -> Vec<(String, f64)> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.end_stage();
         state.ended.clone()
     }
@@ -174,10 +174,6 @@ impl Reporter {
     /// Removes the progress bar.
     pub fn clear(&self) {
         self.bar.finish_and_clear();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
     }
 }
 
@@ -210,12 +206,8 @@ const KEPT_LINES: usize = 300;
 const LINE_BYTES: usize = 1000;
 
 impl Log {
-    fn lock(&self) -> MutexGuard<'_, VecDeque<String>> {
-        lock(&self.0)
-    }
-
     fn add(&self, bytes: &[u8]) {
-        let mut lines = self.lock();
+        let mut lines = lock(&self.0);
         if lines.len() == KEPT_LINES {
             lines.pop_front();
         }

@@ -5,7 +5,7 @@ use crate::lock::lock;
 use recordings::scan::CaptureStats;
 use serde::Serialize;
 use std::fmt::{Display, Formatter};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::Mutex;
 use std::time::Instant;
 
 /// What the box does.
@@ -136,18 +136,18 @@ impl Board {
     /// A copy of the status.
     #[must_use]
     pub fn get(&self) -> Status {
-        self.lock().clone()
+        lock(&self.status).clone()
     }
 
     /// Changes the status.
     pub fn set(&self, change: impl FnOnce(&mut Status)) {
-        change(&mut self.lock());
+        change(&mut lock(&self.status));
     }
 
     /// Enters a state; states in which no scan is made clear its figures.
     pub fn enter(&self, state: State) {
         tracing::debug!("state: {state}");
-        let mut s = self.lock();
+        let mut s = lock(&self.status);
         s.state = state;
         if !state.is_working() {
             s.scan = None;
@@ -157,7 +157,7 @@ impl Board {
     /// Enters `Scanning` with fresh figures.
     pub fn begin_scan(&self, name: &str) {
         *lock(&self.fused_since) = Some(Instant::now());
-        let mut s = self.lock();
+        let mut s = lock(&self.status);
         s.state = State::Scanning;
         s.drops = Drops::default();
         s.scan = Some(ScanFigures { name: name.into(), tracking: true, ..ScanFigures::default() });
@@ -165,7 +165,7 @@ impl Board {
 
     /// Takes the counters of the driver.
     pub fn driver(&self, stats: &LiveStats, exposure_us: Option<f64>) {
-        let mut s = self.lock();
+        let mut s = lock(&self.status);
         let (d, c) = (stats.streams.depth, stats.streams.color);
         s.exposure_us = exposure_us;
         s.drops.missing_packets = d.missing + c.missing;
@@ -178,7 +178,7 @@ impl Board {
 
     /// Takes the counters of pairing.
     pub fn pairing(&self, stats: &CaptureStats) {
-        let mut s = self.lock();
+        let mut s = lock(&self.status);
         s.drops.unpaired_color = stats.unpaired_color;
         s.drops.unpaired_depth = stats.unpaired_depth;
         s.drops.dropped_pairs = stats.dropped_pairs;
@@ -190,7 +190,7 @@ impl Board {
     /// Counts a pair that fusion has taken.
     pub fn fused(&self, tracked: bool, kept: bool, blocks: u64, block_m: f64) {
         let since = *lock(&self.fused_since);
-        let mut s = self.lock();
+        let mut s = lock(&self.status);
         let Some(scan) = &mut s.scan else { return };
         scan.fused_pairs += 1;
         scan.lost_pairs += u64::from(!tracked);
@@ -203,10 +203,6 @@ impl Board {
     /// Stores and logs an error.
     pub fn error(&self, problem: &str) {
         tracing::error!("{problem}");
-        self.lock().last_error = Some(problem.into());
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Status> {
-        lock(&self.status)
+        lock(&self.status).last_error = Some(problem.into());
     }
 }

@@ -6,7 +6,7 @@ use crate::kinect::packet_assembler::{Assembled, Assembler, PacketStats};
 use crate::lock::lock;
 use firmware_config::kinect_models::StreamFormat;
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 /// Frames beyond the queue whose buffers are kept: being assembled, decoded, paired and fused.
@@ -108,12 +108,6 @@ struct Shared {
     filled: Condvar,
 }
 
-impl Shared {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
-    }
-}
-
 /// The end of the USB callback. It waits for nothing but the reader's taking of one buffer.
 pub struct PacketSink(Arc<Shared>);
 
@@ -200,7 +194,7 @@ pub fn packets_of(mut batch: &[u8]) -> impl Iterator<Item = Arrived<'_>> {
 impl PacketSink {
     /// Takes the packets of a transfer; the reader is woken if they complete a frame.
     pub fn push<'a>(&mut self, endpoint: u8, host_ns: i64, packets: impl Iterator<Item = &'a [u8]>) {
-        let mut state = self.0.lock();
+        let mut state = lock(&self.0.state);
         let State { depth, color, frames, queued, full, packets: kept, stats, .. } = &mut *state;
         *full = frames.len() >= if *full { *queued / 2 } else { *queued };
         depth.1.set_accepting(!*full);
@@ -234,20 +228,20 @@ impl PacketSink {
     /// Counts packets that the host controller flagged.
     pub fn flag(&mut self, packets: u64) {
         if packets > 0 {
-            self.0.lock().stats.flagged += packets;
+            lock(&self.0.state).stats.flagged += packets;
         }
     }
 
     /// True if neither a frame nor packets would be dropped now.
     #[must_use]
     pub fn has_room(&self) -> bool {
-        let state = self.0.lock();
+        let state = lock(&self.0.state);
         state.frames.len() < state.queued / 2 && state.packets.as_ref().is_none_or(|p| p.full.len() < QUEUED_BATCHES)
     }
 
     /// Marks the end of the streams: unplugged or failed.
     pub fn set_gone(&mut self) {
-        self.0.lock().gone = true;
+        lock(&self.0.state).gone = true;
         self.0.filled.notify_one();
     }
 }
@@ -256,31 +250,31 @@ impl FrameSource {
     /// An end for another session of the same streams.
     #[must_use]
     pub fn sink(&self) -> PacketSink {
-        self.shared.lock().gone = false;
+        lock(&self.shared.state).gone = false;
         PacketSink(Arc::clone(&self.shared))
     }
 
     /// The oldest frame that waits.
     pub fn frame(&mut self) -> Option<ArrivedFrame> {
-        self.shared.lock().frames.pop_front()
+        lock(&self.shared.state).frames.pop_front()
     }
 
     /// The packets that wait, in batches for [`packets_of`]; to be given back.
     pub fn packets(&mut self) -> Option<Vec<u8>> {
-        self.shared.lock().packets.as_mut()?.take()
+        lock(&self.shared.state).packets.as_mut()?.take()
     }
 
     /// Takes back a batch of packets.
     pub fn give(&mut self, mut batch: Vec<u8>) {
         batch.clear();
-        if let Some(packets) = &mut self.shared.lock().packets {
+        if let Some(packets) = &mut lock(&self.shared.state).packets {
             packets.spare.push(batch);
         }
     }
 
     /// Waits until there is something to take, or nothing more will come, at most for `limit`.
     pub fn wait(&mut self, limit: Duration) {
-        let state = self.shared.lock();
+        let state = lock(&self.shared.state);
         let batch = state.packets.as_ref().is_some_and(|p| !p.full.is_empty());
         if state.frames.is_empty() && !batch && !state.gone {
             drop(self.shared.filled.wait_timeout(state, limit));
@@ -289,7 +283,7 @@ impl FrameSource {
 
     /// Discards what waits if anything was dropped, so that the streams begin without a gap.
     pub fn discard_if_overflowed(&mut self) {
-        let mut state = self.shared.lock();
+        let mut state = lock(&self.shared.state);
         let State { depth, color, frames, full, packets, stats, .. } = &mut *state;
         let (before, [depth_before, color_before]) = self.before;
         if stats.dropped_packets == before.dropped_packets
@@ -314,7 +308,7 @@ impl FrameSource {
 
     /// Ends the streams: incomplete last frames are counted as lost.
     pub fn end(&mut self) {
-        let mut state = self.shared.lock();
+        let mut state = lock(&self.shared.state);
         state.depth.1.end();
         state.color.1.end();
         drop(state);
@@ -324,13 +318,13 @@ impl FrameSource {
     /// True after the end of the streams; frames may still wait.
     #[must_use]
     pub fn gone(&self) -> bool {
-        self.shared.lock().gone
+        lock(&self.shared.state).gone
     }
 
     /// Counters.
     #[must_use]
     pub fn stats(&self) -> (QueueStats, [PacketStats; 2]) {
-        let state = self.shared.lock();
+        let state = lock(&self.shared.state);
         (state.stats, [state.depth.1.stats(), state.color.1.stats()])
     }
 }

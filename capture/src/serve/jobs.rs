@@ -12,7 +12,7 @@ use std::ffi::OsString;
 use std::io::BufReader;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// A picture that takes longer is given up.
@@ -85,7 +85,7 @@ impl Jobs {
     /// How far the last job is.
     #[must_use]
     pub fn now(&self) -> Option<Progress> {
-        let current = self.lock();
+        let current = lock(&self.current);
         let (scan, work, reporter) = current.job.as_ref()?;
         Some(Progress {
             scan: scan.clone(),
@@ -100,14 +100,14 @@ impl Jobs {
     /// True while a job works on this scan.
     #[must_use]
     pub fn works_on(&self, id: &str) -> bool {
-        let current = self.lock();
+        let current = lock(&self.current);
         !current.done && current.job.as_ref().is_some_and(|(scan, ..)| scan == id)
     }
 
     /// True while a job runs.
     #[must_use]
     pub fn is_busy(&self) -> bool {
-        let current = self.lock();
+        let current = lock(&self.current);
         !current.done && current.job.is_some()
     }
 
@@ -116,7 +116,7 @@ impl Jobs {
     /// # Errors
     /// Another job runs, or `prepare` says why there is none.
     pub fn start(&self, scan: &str, prepare: impl FnOnce() -> Result<Work, String>) -> Result<(), String> {
-        let mut current = self.lock();
+        let mut current = lock(&self.current);
         if let Some((other, work, _)) = current.job.as_ref().filter(|_| !current.done) {
             return Err(format!("the box is busy with {other} ({}); wait until that is done", work.name()));
         }
@@ -126,17 +126,13 @@ impl Jobs {
         let jobs = self.clone();
         let run = move || {
             let outcome = work.run(&jobs.stop, &reporter);
-            let mut current = jobs.lock();
+            let mut current = lock(&jobs.current);
             (current.done, current.problem) = (true, outcome.err().map(|e| e.to_string()));
         };
         std::thread::Builder::new().name("job".into()).spawn(run).map(drop).map_err(|e| {
-            self.lock().done = true;
+            lock(&self.current).done = true;
             e.to_string()
         })
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Current> {
-        lock(&self.current)
     }
 }
 

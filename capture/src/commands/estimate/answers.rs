@@ -10,7 +10,7 @@ use estimator::Progress;
 use recordings::decision::{Cut, Warning};
 use recordings::result::{Estimate, Origin};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 /// Endings of what stands beside the result: the newest answer, the next one while it is written, and its unfinished file.
@@ -70,7 +70,7 @@ impl Answers {
     /// The disk is full or gone.
     pub fn stand(&self, estimate: &Estimate) -> Result<(), Failure> {
         {
-            let state = self.lock();
+            let state = lock(&self.state);
             // A stage that was given up half-way spoils more than the stages that an earlier answer lacks.
             if state.is_over || (state.newest.is_some() && estimate.cuts.iter().any(Cut::is_abandoned)) {
                 return Ok(());
@@ -78,7 +78,7 @@ impl Answers {
         }
         let next = beside(&self.result, NEXT);
         let written = estimate.write_unsynced(&next, Some(&self.origin));
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         // What is in its place in time is not replaced too late.
         if state.is_over || (state.in_place.is_some() && self.started.elapsed() > self.budget) {
             let _ = std::fs::remove_file(&next);
@@ -102,7 +102,7 @@ impl Answers {
     /// # Errors
     /// The disk is full or gone.
     pub fn put_in_place(&self) -> Result<bool, Failure> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         if state.in_place.is_none() && state.newest.is_some() {
             let newest = beside(&self.result, NEWEST);
             sync(&newest)?;
@@ -116,14 +116,10 @@ impl Answers {
     /// Ends the run: no answer comes after this. The one in place, and when an answer came there.
     #[must_use]
     pub fn end(&self) -> Option<(Summary, Duration)> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.is_over = true;
         clear(&self.result);
         state.newest.take().zip(state.in_place)
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        lock(&self.state)
     }
 }
 

@@ -3,7 +3,7 @@
 
 use crate::lock::lock;
 use std::net::{IpAddr, Shutdown, TcpStream};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A connection without a request for this long gives way to a new one when all are taken.
@@ -41,7 +41,7 @@ impl Slots {
 
     /// Takes a slot for a connection; where none is free, that of the connection that has waited longest without a request.
     pub fn take(&self, stream: &TcpStream, peer: IpAddr) -> Option<u64> {
-        let mut taken = self.lock();
+        let mut taken = lock(&self.taken);
         let share = (self.most / 3).max(2);
         // A client beyond its share takes from itself.
         let crowded = |t: &Taken| t.list.iter().filter(|s| s.peer == peer).count() >= share;
@@ -70,26 +70,22 @@ impl Slots {
 
     /// Notes whether a connection waits for a request.
     pub fn set_idle(&self, id: u64, idle: bool) {
-        if let Some(slot) = self.lock().list.iter_mut().find(|s| s.id == id) {
+        if let Some(slot) = lock(&self.taken).list.iter_mut().find(|s| s.id == id) {
             slot.idle_since = idle.then(Instant::now);
         }
     }
 
     /// Gives a slot back.
     pub fn release(&self, id: u64) {
-        self.lock().list.retain(|s| s.id != id);
+        lock(&self.taken).list.retain(|s| s.id != id);
         self.freed.notify_all();
     }
 
     /// Ends every connection.
     pub fn close(&self) {
-        for slot in &self.lock().list {
+        for slot in &lock(&self.taken).list {
             let _ = slot.stream.shutdown(Shutdown::Both);
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Taken> {
-        lock(&self.taken)
     }
 }
 

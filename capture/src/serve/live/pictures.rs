@@ -5,7 +5,7 @@ use crossbeam_channel::{Receiver, Sender, bounded};
 use jpeg_encoder::{ColorType, Encoder};
 use recordings::types::{Pose, RgbImage};
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Pictures of kept frames that are remembered, for the way back after a loss.
@@ -78,7 +78,7 @@ impl Pictures {
     pub fn newer(&self, after: u64, wait: Duration) -> Option<Arc<Picture>> {
         let is_old = |c: &mut Coded| c.newest.as_ref().is_none_or(|p| p.number <= after);
         let (coded, _) =
-            self.coded.1.wait_timeout_while(self.lock(), wait, is_old).unwrap_or_else(PoisonError::into_inner);
+            self.coded.1.wait_timeout_while(lock(&self.coded.0), wait, is_old).unwrap_or_else(PoisonError::into_inner);
         coded.newest.clone().filter(|p| p.number > after)
     }
 
@@ -90,13 +90,13 @@ impl Pictures {
                 (q.translation - pose.translation).length() + 0.5 * q.rotation.angle_between(pose.rotation)
             })
         };
-        self.lock().kept.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).cloned()
+        lock(&self.coded.0).kept.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).cloned()
     }
 
     /// At most `most` pictures of kept frames, spread over the scan, the newest among them.
     #[must_use]
     pub fn spread(&self, most: usize) -> Vec<Arc<Picture>> {
-        let coded = self.lock();
+        let coded = lock(&self.coded.0);
         let (n, most) = (coded.kept.len(), most.max(1));
         let wanted = (1..=most.min(n)).map(|i| i * n / most.min(n) - 1);
         wanted.filter_map(|i| coded.kept.get(i).cloned()).collect()
@@ -105,16 +105,12 @@ impl Pictures {
     /// The picture of a kept frame by its number.
     #[must_use]
     pub fn kept(&self, number: u64) -> Option<Arc<Picture>> {
-        self.lock().kept.iter().find(|p| p.number == number).cloned()
+        lock(&self.coded.0).kept.iter().find(|p| p.number == number).cloned()
     }
 
     /// Forgets the pictures of the last scan.
     pub fn clear(&self) {
-        *self.lock() = Coded::default();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Coded> {
-        lock(&self.coded.0)
+        *lock(&self.coded.0) = Coded::default();
     }
 }
 
