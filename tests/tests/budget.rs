@@ -160,6 +160,29 @@ fn what_was_cut_is_taken_back_when_there_turns_out_to_be_time() {
 }
 
 #[test]
+fn bounces_that_were_cut_are_made_up_for_when_there_turns_out_to_be_time() {
+    let (scan, config) = (corner(), EstimatorConfig::default());
+    let mut size = Run::size(&scan, &config);
+    size.vertices = 200_000.0;
+    let machine = Simulated::new(1.0, &[]);
+    let options = Options { budget: Duration::from_secs(100), rounds: None, reference: None, memory_mb: None };
+    let mut plan = Plan::new(&machine, &options, &config, size, Done::default());
+    *machine.now.lock().expect("nobody panicked") += 30.0;
+    let is_cut =
+        |plan: &Plan| plan.cuts().iter().any(|c| matches!(c, Cut::Planned { what: Reduction::Bounces { .. }, .. }));
+    let (bounces, _) = plan.light(0.4);
+    assert!(bounces == 1 && is_cut(&plan), "30 s were lost: {:?}", plan.cuts());
+    let rays = plan.more_rays(64, 64, 0.4, 5, 1);
+    assert!(rays == 64 && plan.workload().bounces == 1 && is_cut(&plan), "no time yet: {:?}", plan.cuts());
+    plan.worked(15.0);
+    assert!(plan.has_spare(), "{:?}", plan.cuts());
+    let rays = plan.more_rays(64, 64, 0.4, 5, 1);
+    assert!(rays == 64 && plan.workload().bounces == config.bounces && !is_cut(&plan), "{:?}", plan.cuts());
+    plan.bounces_stay(1);
+    assert!(is_cut(&plan), "they were not made: {:?}", plan.cuts());
+}
+
+#[test]
 fn rays_that_do_not_come_in_time_are_given_up_and_said_to_be() {
     let (scan, config) = (corner(), EstimatorConfig::default());
     let machine = Simulated::new(1.0, &[]);

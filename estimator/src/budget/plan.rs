@@ -14,7 +14,7 @@ use std::sync::Mutex;
 
 /// An answer that stands is written before the run ends if that takes less than this share of the time left.
 const HAND_OVER_SHARE: f64 = 0.1;
-/// Rays that were cut are traced in the end if more than this share of the budget is left.
+/// Rays and bounces that were cut are made up for in the end if more than this share of the budget is left.
 const SPARE_SHARE: f64 = 0.1;
 
 /// Share of the time left that is planned with once an answer stands: what comes too late then is not missed.
@@ -117,15 +117,15 @@ impl<'a> Plan<'a> {
         is_cheap
     }
 
-    /// True if rays were cut, and more of the budget is left than the texture and a margin take.
+    /// True if rays or bounces were cut, and more of the budget is left than the texture and a margin take.
     #[must_use]
     pub fn has_spare(&self) -> bool {
-        let is_of_rays = |cut: &Cut| match cut {
-            Cut::Planned { what, .. } => matches!(what, Reduction::Rays { .. }),
+        let is_of_light = |cut: &Cut| match cut {
+            Cut::Planned { what, .. } => matches!(what, Reduction::Rays { .. } | Reduction::Bounces { .. }),
             cut => matches!(cut, Cut::FewerRays { .. } | Cut::LateRays { .. }),
         };
         let rest = self.workload.end(&self.workload.size(&self.size));
-        self.cuts().iter().any(is_of_rays) && self.left() - rest > SPARE_SHARE * self.budget * self.speed()
+        self.cuts().iter().any(is_of_light) && self.left() - rest > SPARE_SHARE * self.budget * self.speed()
     }
 
     /// Records a cut that is final.
@@ -293,22 +293,24 @@ impl<'a> Plan<'a> {
         Some(fewer)
     }
 
-    /// As many of the `wanted` rays per vertex as fit; `have` are traced already, a share `blocked` of them hit.
-    pub fn more_rays(&mut self, wanted: u32, have: u32, blocked: f64, bands: usize) -> u32 {
+    /// As many of the `wanted` rays per vertex as fit, and of the bounces; `have` rays are traced already, a share `blocked` of them hit, and
+    /// there are at least the bounces `least`.
+    pub fn more_rays(&mut self, wanted: u32, have: u32, blocked: f64, bands: usize, least: u32) -> u32 {
         if !self.budget.is_finite() {
             return wanted;
         }
         let size = self.workload.size(&self.size);
         let mut rays = wanted;
-        let mut bounces = self.workload.bounces;
+        // Those that were cut before this was known are asked for again.
+        let mut bounces = self.full.bounces;
         let done = cost_model::rays(size.vertices, have);
         let cost = |rays, bounces| {
             let workload = Workload { rays, bands, bounces, ..self.workload };
             workload.light(&size, blocked) - done + workload.end(&size)
         };
-        while rays > have && cost(rays, bounces) > self.left() {
+        while (rays > have || bounces != least) && cost(rays, bounces) > self.left() {
             match bounces {
-                1 => rays /= 2,
+                b if b == least => rays = (rays / 2).max(have),
                 2 => bounces = 1,
                 _ => bounces = 2,
             }
@@ -322,6 +324,11 @@ impl<'a> Plan<'a> {
         self.full.rays = rays;
         self.adopt(Workload { bounces, rays, ..self.workload });
         rays
+    }
+
+    /// Bounces that [`Self::more_rays`] granted were not made: there are as many as before.
+    pub fn bounces_stay(&mut self, bounces: u32) {
+        self.adopt(Workload { bounces, ..self.workload });
     }
 
     /// Rays are traced. The callback has reported them to the machine already.

@@ -80,7 +80,7 @@ pub fn select_model<'a>(prepared: &mut Prepared, traced: Arc<Traced>, run: &mut 
     let (have, blocked) = (model.traced.rays, model.traced.mean_blocked());
     if !run.rays_are_set() && have > 0 {
         let wanted = model_selection::rays(&model.traced, selected.held_out, &config.tuning.model_selection);
-        let rays = run.plan.more_rays(wanted, have, blocked, selected.bands);
+        let rays = run.plan.more_rays(wanted, have, blocked, selected.bands, 1);
         model.options.bounces = run.plan.workload().bounces;
         if rays > have
             && let Some(better) = trace_more(prepared, rays, Some(&model.traced), run)
@@ -91,12 +91,12 @@ pub fn select_model<'a>(prepared: &mut Prepared, traced: Arc<Traced>, run: &mut 
     model
 }
 
-/// Rays that were cut are traced where time is left for them in the end, and the factorisation is done again with them.
+/// Rays and bounces that were cut are made up for where time is left in the end.
 pub fn spend(prepared: &mut Prepared, found: Factorised, options: &FactorisationOptions, run: &mut Run) -> Factorised {
     if run.plan.has_spare() { refine(prepared, found, options, run) } else { found }
 }
 
-/// Traces more rays and factorises again if the held-out error asks for it now that gloss is removed.
+/// Factorises again with more rays, if the held-out error asks for them now that gloss is removed, and with bounces that were cut.
 pub fn refine(prepared: &mut Prepared, found: Factorised, options: &FactorisationOptions, run: &mut Run) -> Factorised {
     let traced = Arc::clone(&found.transfer.traced);
     let config = run.config;
@@ -105,20 +105,30 @@ pub fn refine(prepared: &mut Prepared, found: Factorised, options: &Factorisatio
     }
     let held_out = model_selection::held_out_error(&found, &prepared.colors(), &config.tuning);
     let bands = found.solution.light.len().isqrt();
-    let wanted = model_selection::rays(&traced, held_out, &config.tuning.model_selection);
-    let rays = run.plan.more_rays(wanted, traced.rays, traced.mean_blocked(), bands);
-    if rays <= traced.rays {
+    let wanted = model_selection::rays(&traced, held_out, &config.tuning.model_selection).max(traced.rays);
+    let bounces_before = run.plan.workload().bounces;
+    let rays = run.plan.more_rays(wanted, traced.rays, traced.mean_blocked(), bands, bounces_before);
+    let bounces = run.plan.workload().bounces;
+    let mut better = None;
+    if rays > traced.rays {
+        better = trace_more(prepared, rays, Some(&traced), run);
+        if better.is_none() {
+            run.plan.bounces_stay(bounces_before);
+            return found;
+        }
+    } else if !options.gi || bounces == bounces_before {
         return found;
     }
-    let Some(better) = trace_more(prepared, rays, Some(&traced), run) else { return found };
-    prepared.decisions.push(Decision::RaysWithoutGloss {
-        chosen: better.rays,
-        before: traced.rays,
-        held_out,
-        error_before: traced.relative_error(),
-        error: better.relative_error(),
-        vertices: better.vertices() as u32,
-    });
-    let options = FactorisationOptions { bands, bounces: run.plan.workload().bounces, ..*options };
-    factorise(better, &prepared.colors(), &options, Some(found.into()))
+    if let Some(better) = &better {
+        prepared.decisions.push(Decision::RaysWithoutGloss {
+            chosen: better.rays,
+            before: traced.rays,
+            held_out,
+            error_before: traced.relative_error(),
+            error: better.relative_error(),
+            vertices: better.vertices() as u32,
+        });
+    }
+    let options = FactorisationOptions { bands, bounces, ..*options };
+    factorise(better.unwrap_or(traced), &prepared.colors(), &options, Some(found.into()))
 }
