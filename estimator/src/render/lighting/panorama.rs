@@ -40,7 +40,7 @@ struct Reduced {
 
 impl Reduced {
     fn new(width: usize, height: usize) -> std::result::Result<Self, String> {
-        if width == 0 || width != 2 * height {
+        if width == 0 || Some(width) != height.checked_mul(2) {
             return Err(format!("is {width}x{height}: a panorama of all directions is twice as wide as high"));
         }
         if width > MAX_WIDTH {
@@ -361,6 +361,8 @@ mod tests {
         let say = |b: Vec<u8>| Panorama::decode(std::io::Cursor::new(b)).unwrap_err();
         assert!(say(vec![]).contains("empty"));
         assert!(say(b"#?RADIANCE\n\n-Y 4 +X 9\n".to_vec()).contains("9x4"));
+        // Twice this is 16 more than what counts.
+        assert!(say(b"#?RADIANCE\n\n-Y 9223372036854775816 +X 16\n".to_vec()).contains("9223372036854775816"));
         assert!(say(b"#?RADIANCE\n\n-Y 20000 +X 40000\n".to_vec()).contains("more than"));
         assert!(say(b"#?RADIANCE\n\n-Y 2 +X 4\nabc".to_vec()).contains("truncated"));
         let head = [&b"IHDR"[..], &16384u32.to_be_bytes(), &8192u32.to_be_bytes(), &[8, 2, 0, 0, 0]].concat();
