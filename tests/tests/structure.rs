@@ -65,6 +65,27 @@ fn every_folder_says_what_it_holds() {
     assert!(found.is_empty(), "folders without a `//!` comment:\n{}", found.join("\n"));
 }
 
+/// `fuzz` stands outside the workspace and repeats what the executable depends on.
+#[test]
+fn fuzzing_has_the_dependencies_of_the_executable() {
+    let read = |path: &str| -> toml::Table {
+        std::fs::read_to_string(workspace().join(path).join("Cargo.toml")).unwrap().parse().unwrap()
+    };
+    let (root, fuzz) = (read("."), read("fuzz"));
+    let mut found = Vec::new();
+    for (name, dependency) in read("capture")["dependencies"].as_table().unwrap() {
+        let asked = &root["workspace"]["dependencies"][name];
+        let is_ours = asked.get("path").is_some();
+        match fuzz["dependencies"].get(name) {
+            _ if dependency.get("optional").is_some() => {}
+            None => found.push(format!("{name} is missing")),
+            Some(there) if !is_ours && there != asked => found.push(format!("{name} is {there}, not {asked}")),
+            Some(_) => {}
+        }
+    }
+    assert!(found.is_empty(), "fuzz/Cargo.toml:\n{}", found.join("\n"));
+}
+
 /// The workspace's folder.
 fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
