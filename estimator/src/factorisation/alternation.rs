@@ -1,6 +1,5 @@
 //! Light and segment albedos in turn, for one channel, on the statistics of the segments (Eqs. 10 and 11).
 
-use crate::factorisation::mixing::Mixing;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
@@ -10,14 +9,8 @@ use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// The turns have converged when no log albedo changes by more: in the last solution, …
-pub(super) const FINE: f64 = 1e-4;
-/// … and in those that only weights and the regularisation are taken from.
-pub(super) const ROUGH: f64 = 1e-3;
-/// A turn that raises the objective by a larger share is taken back.
-const WORSE: f64 = 1e-9;
-/// What counts as zero.
-const MIN_ALBEDO: f64 = 1e-200;
+/// The turns have converged when no log albedo changes by more.
+const ALBEDO_TOLERANCE: f64 = 1e-4;
 /// Maximum number of sweeps of one descent; the next one continues them.
 const SWEEPS: usize = 12;
 /// Descents for light alone.
@@ -76,90 +69,51 @@ pub(super) struct Alternation {
     pub albedo: Vec<f64>,
 }
 
-/// A turn that was kept.
-struct Turn {
-    /// The log albedos that it led to: `[segment]`.
-    image: DVector<f64>,
-    /// `[direction]`.
-    radiance: DVector<f64>,
-    objective: f64,
-}
-
 impl Alternation {
     /// Coefficients of the light: `[k]`.
     pub fn light(&self, projection: &Projection) -> DVector<f64> {
         dense::times(projection.matrix(), &self.radiance)
     }
 
-    /// Alternates until no log albedo changes by more than `tolerance`, with the last turns mixed. The mean radiance, 1, fixes the free factor.
+    /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
     pub fn run(
         &mut self,
         statistics: &[Statistics],
         projection: &Projection,
         prior: &Prior,
         tuning: &FactorisationTuning,
-        tolerance: f64,
     ) {
         let total: f64 = statistics.iter().map(|s| s.square).sum();
         if total <= 0.0 {
             return;
         }
-        let penalty = prior.penalty(total, tuning);
-        let mut mixing = Mixing::default();
-        let mut point = self.log_albedo();
-        let mut last: Option<Turn> = None;
         for _ in 0..tuning.max_turns {
-            self.set_log_albedo(&point);
-            let Some(objective) = self.turn(statistics, projection, &penalty) else { return };
-            if let Some(before) = last.take_if(|before| objective > before.objective * (1.0 + WORSE)) {
-                // Mixing went too far: on without it, from where it began.
-                (self.radiance, point) = (before.radiance, before.image);
-                self.set_log_albedo(&point);
-                mixing.restart();
-                continue;
+            // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
+            let form = LightForm::new(statistics, &self.albedo, projection);
+            form.descend(&prior.penalty(total, tuning), &mut self.radiance);
+            let mean = self.radiance.mean();
+            if mean <= 0.0 || !mean.is_finite() {
+                self.radiance.fill(1.0);
+                return;
             }
-            let image = self.log_albedo();
-            if (&image - &point).amax() < tolerance {
+            self.radiance /= mean;
+            let light = self.light(projection);
+            // Eq. (11), as a_u = Σ f E / Σ E².
+            let mut moved = 0.0f64;
+            let predicted = |s: &Statistics| light.dot(&dense::times(&s.gram, &light));
+            let predicted: Vec<f64> = statistics.par_iter().with_min_len(SEGMENTS).map(predicted).collect();
+            for ((s, a), predicted) in statistics.iter().zip(self.albedo.iter_mut()).zip(predicted) {
+                let explained = s.cross.dot(&light);
+                if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
+                    let new = explained / predicted;
+                    moved = moved.max(libm::log(new / *a).abs());
+                    *a = new;
+                }
+            }
+            if moved < ALBEDO_TOLERANCE {
                 break;
             }
-            point = mixing.next(&point, image.clone());
-            last = Some(Turn { image, radiance: self.radiance.clone(), objective });
         }
-    }
-
-    /// Light for the albedos, then albedos for the light. Returns what the sum of squares is lowered to, with the penalty; `None` where nothing
-    /// tells of light.
-    fn turn(&mut self, statistics: &[Statistics], projection: &Projection, penalty: &Penalty) -> Option<f64> {
-        // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
-        let mut objective = LightForm::new(statistics, &self.albedo, projection).descend(penalty, &mut self.radiance);
-        let mean = self.radiance.mean();
-        if mean <= 0.0 || !mean.is_finite() {
-            self.radiance.fill(1.0);
-            return None;
-        }
-        self.radiance /= mean;
-        let light = self.light(projection);
-        // Eq. (11), as a_u = Σ f E / Σ E².
-        let predicted = |s: &Statistics| light.dot(&dense::times(&s.gram, &light));
-        let predicted: Vec<f64> = statistics.par_iter().with_min_len(SEGMENTS).map(predicted).collect();
-        for ((s, a), predicted) in statistics.iter().zip(self.albedo.iter_mut()).zip(predicted) {
-            let explained = s.cross.dot(&light);
-            if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
-                *a = explained / predicted;
-                objective -= explained * *a;
-            }
-            objective += s.square;
-        }
-        Some(objective)
-    }
-
-    /// `[segment]`.
-    fn log_albedo(&self) -> DVector<f64> {
-        DVector::from_iterator(self.albedo.len(), self.albedo.iter().map(|a| libm::log(a.max(MIN_ALBEDO))))
-    }
-
-    fn set_log_albedo(&mut self, log: &DVector<f64>) {
-        self.albedo.iter_mut().zip(log.iter()).for_each(|(a, log)| *a = libm::exp(*log));
     }
 
     /// Light for the albedos as they are, of which `form` is made.
@@ -174,7 +128,7 @@ impl Alternation {
     pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
         let tried = REGULARISATIONS.par_iter().map(|&regularisation| {
             let mut trial = self.clone();
-            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning, ROUGH);
+            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
             (regularisation, trial.relative_square_error(&folds.held_out, projection), trial)
         });
         let mut best: Option<(f64, f64, Self)> = None;
@@ -282,22 +236,20 @@ impl<'a> LightForm<'a> {
         Self { gram, cross, projection, products, observability, total }
     }
 
-    /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r. Returns twice the penalty.
-    fn descend(&self, Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) -> f64 {
+    /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r.
+    fn descend(&self, Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) {
         let least = min_observability * self.observability.iter().copied().fold(0.0, f64::max);
         let held = |(&o, s): (&f64, &f64)| (o, s * (1.0 + least / o.max(1e-4 * least)));
-        let held: Vec<(f64, f64)> = self.observability.iter().zip(strength).map(held).collect();
         let mut gradient = dense::times(&self.gram, &dense::times(self.projection.matrix(), r)) - &self.cross;
         let descent = Descent {
             columns: self.projection.matrix().as_slice(),
             products: self.products.as_slice(),
-            held: &held,
+            held: &self.observability.iter().zip(strength).map(held).collect::<Vec<_>>(),
             center: center.as_slice(),
             gradient: gradient.as_mut_slice(),
             r: r.as_mut_slice(),
         };
         dispatch(Isa::detect(), descent);
-        held.iter().zip(r.iter().zip(center.iter())).map(|((_, s), (r, c))| s * (r - c) * (r - c)).sum()
     }
 }
 

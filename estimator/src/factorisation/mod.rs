@@ -9,7 +9,6 @@ pub mod distance_check;
 pub mod drawn_light;
 mod factorise;
 pub mod held_out;
-mod mixing;
 pub mod paper_solver;
 mod posterior;
 mod problem;
