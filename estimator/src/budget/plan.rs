@@ -6,7 +6,7 @@ use crate::budget::first_answer::Done;
 use crate::budget::machine::Machine;
 use crate::budget::memory;
 use crate::budget::probe::{self, Probe};
-use crate::budget::workload::Workload;
+use crate::budget::workload::{Workload, fewer_bounces};
 use firmware_config::EstimatorConfig;
 use firmware_config::tuning::BudgetTuning;
 use recordings::decision::{Cut, Reduction};
@@ -309,10 +309,9 @@ impl<'a> Plan<'a> {
             workload.light(&size, blocked) - done + workload.end(&size)
         };
         while (rays > have || bounces != least) && cost(rays, bounces) > self.left() {
-            match bounces {
-                b if b == least => rays = (rays / 2).max(have),
-                2 => bounces = 1,
-                _ => bounces = 2,
+            match fewer_bounces(bounces).filter(|_| bounces != least) {
+                Some(fewer) => bounces = fewer,
+                None => rays = (rays / 2).max(have),
             }
         }
         // This decision takes the place of an earlier one.
@@ -343,10 +342,9 @@ impl<'a> Plan<'a> {
             let rest = |w: &Workload| w.light(&size, blocked) - cost_model::rays(size.vertices, w.rays) + w.end(&size);
             let mut lower = self.workload;
             while rest(&lower) > self.left() && (lower.bounces != 1 || lower.bands > 3) {
-                match lower.bounces {
-                    1 => lower.bands -= 2,
-                    2 => lower.bounces = 1,
-                    _ => lower.bounces = 2,
+                match fewer_bounces(lower.bounces) {
+                    Some(fewer) => lower.bounces = fewer,
+                    None => lower.bands -= 2,
                 }
             }
             self.adopt(lower);

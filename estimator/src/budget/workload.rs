@@ -36,6 +36,15 @@ pub struct Workload {
     pub texture: bool,
 }
 
+/// The next lower number of bounces, 0 = until convergence; `None` below one.
+pub(super) fn fewer_bounces(bounces: u32) -> Option<u32> {
+    match bounces {
+        1 => None,
+        2 => Some(1),
+        _ => Some(2),
+    }
+}
+
 impl Workload {
     /// Everything that the settings ask for.
     #[must_use]
@@ -111,10 +120,8 @@ impl Workload {
     pub(super) fn lower(&self, full: &Size, tuning: &BudgetTuning) -> Option<Self> {
         let mut next = *self;
         let fewer_vertices = self.size(full).vertices * tuning.vertex_step;
-        if self.bounces == 0 || self.bounces > 2 {
-            next.bounces = 2;
-        } else if self.bounces > 1 {
-            next.bounces = 1;
+        if let Some(fewer) = fewer_bounces(self.bounces) {
+            next.bounces = fewer;
         } else if self.rays > tuning.few_rays {
             next.rays = (self.rays / 2).max(tuning.few_rays);
         } else if self.pose_rounds > 2 {

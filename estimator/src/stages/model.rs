@@ -105,29 +105,26 @@ pub fn refine(prepared: &mut Prepared, found: Factorised, options: &Factorisatio
     }
     let held_out = model_selection::held_out_error(&found, &prepared.colors(), &config.tuning);
     let bands = found.solution.light.len().isqrt();
-    let wanted = model_selection::rays(&traced, held_out, &config.tuning.model_selection).max(traced.rays);
+    let wanted = model_selection::rays(&traced, held_out, &config.tuning.model_selection);
     let bounces_before = run.plan.workload().bounces;
     let rays = run.plan.more_rays(wanted, traced.rays, traced.mean_blocked(), bands, bounces_before);
     let bounces = run.plan.workload().bounces;
-    let mut better = None;
-    if rays > traced.rays {
-        better = trace_more(prepared, rays, Some(&traced), run);
-        if better.is_none() {
-            run.plan.bounces_stay(bounces_before);
-            return found;
-        }
-    } else if !options.gi || bounces == bounces_before {
-        return found;
-    }
-    if let Some(better) = &better {
-        prepared.decisions.push(Decision::RaysWithoutGloss {
+    let better = if rays > traced.rays { trace_more(prepared, rays, Some(&traced), run) } else { None };
+    match &better {
+        Some(better) => prepared.decisions.push(Decision::RaysWithoutGloss {
             chosen: better.rays,
             before: traced.rays,
             held_out,
             error_before: traced.relative_error(),
             error: better.relative_error(),
             vertices: better.vertices() as u32,
-        });
+        }),
+        None if rays > traced.rays => {
+            run.plan.bounces_stay(bounces_before);
+            return found;
+        }
+        None if !options.gi || bounces == bounces_before => return found,
+        None => {}
     }
     let options = FactorisationOptions { bands, bounces, ..*options };
     factorise(better.unwrap_or(traced), &prepared.colors(), &options, Some(found.into()))
