@@ -314,7 +314,8 @@ fn the_daemon_survives_the_plug_on_usbfs() {
     // Red until the next scan begins.
     let expected = ["unplugged", "plugged", "detached", "claimed", "led 2", "led 4", "led 3", "released", "attached"];
     let start = steps.iter().position(|l| *l == "unplugged").unwrap();
-    assert_eq!(steps[start..start + expected.len()], expected);
+    let said = std::fs::read_to_string(machine.root.path().join("err")).unwrap();
+    assert_eq!(steps[start..start + expected.len()], expected, "{} {said}", status());
 }
 
 struct Running(Child);
