@@ -10,7 +10,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 command -v valgrind >/dev/null || { echo "skipped: valgrind is not installed"; exit 0; }
 [ "$(uname -m)" = x86_64 ] || { echo "skipped: valgrind is tried on x86-64 only"; exit 0; }
-memcheck="valgrind --quiet --error-exitcode=99 --leak-check=full --show-leak-kinds=definite --errors-for-leak-kinds=definite"
+# Fair turns: else threads that have much to do keep the others from theirs, and the silent-sensor watchdog bites.
+memcheck="valgrind --quiet --fair-sched=yes --error-exitcode=99 --leak-check=full --show-leak-kinds=definite --errors-for-leak-kinds=definite"
 export CARGO_TARGET_X86_64_UNKNOWN_LINUX_GNU_RUNNER="$memcheck"
 cargo test --locked -p isa --lib
 cargo test --locked -p fusion --lib -- tsdf:: frame::
