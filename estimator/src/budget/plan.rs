@@ -281,7 +281,7 @@ impl<'a> Plan<'a> {
         let fewer = rays / 4;
         if have > 0 && fewer <= have {
             self.fixed.push(Cut::LateRays { rays: have, instead_of: rays });
-            self.workload.rays = have;
+            self.rays_were_late(have);
             return None;
         }
         if fewer < self.tuning.min_rays || self.machine.now() > self.rays_deadline() {
@@ -289,8 +289,13 @@ impl<'a> Plan<'a> {
             return None;
         }
         self.fixed.push(Cut::LateRays { rays: fewer, instead_of: rays });
-        self.workload.rays = fewer;
+        self.rays_were_late(fewer);
         Some(fewer)
+    }
+
+    /// What was late is named already: later plans do not name it once more.
+    fn rays_were_late(&mut self, rays: u32) {
+        (self.workload.rays, self.full.rays) = (rays, rays);
     }
 
     /// As many of the `wanted` rays per vertex as fit, and of the bounces; `have` rays are traced already, a share `blocked` of them hit, and
