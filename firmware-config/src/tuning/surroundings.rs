@@ -27,6 +27,8 @@ section! {
         lamp_width_rad: f64 = 0.35, [0.001..=3.0], "rad", "";
         /// Peaks below this share of the first become no lamp.
         faintest_lamp: f64 = 0.08, [0.0..=1.0], "", "";
+        /// Standard deviations of the light (the posterior of its coefficients) below which a direction gets no lamp and no hue.
+        lamp_significance: f64 = 2.0, [0.0..=100.0], "", "";
         /// Share of the unexplained light that the even level may take.
         even_share: f64 = 0.7, [0.0..=1.0], "", "";
         /// Bands of the residual after the lamps that are kept, with falling weight (a Hann window).

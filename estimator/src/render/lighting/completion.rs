@@ -44,15 +44,14 @@ pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTun
     let mut rest: Vec<[f64; 3]> =
         total.iter().zip(explained).map(|(t, e)| std::array::from_fn(|c| t[c] - e[c])).collect();
 
-    let lamps = clean(&mut rest, bands, tuning, |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5);
+    let variance = luminance_variance(light, bands);
+    let dark = |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5;
+    let lamps = clean(&mut rest, &variance, total[0], tuning, dark);
     let width = tuning.lamp_width_rad / bands as f64;
     let sharpness = (1.0 / (width * width)) as f32;
     // ∫ exp(s (cos − 1)) dω = 2π (1 − e^(−2s)) / s.
     let peak = sharpness / std::f32::consts::TAU;
-    for (k, r) in rest.iter_mut().enumerate() {
-        let l = (k.isqrt() as f64).min(tuning.residual_bands);
-        *r = r.map(|x| x * 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / tuning.residual_bands)));
-    }
+    smooth(&mut rest, &variance, total[0], tuning);
     let texels: Vec<Vec3> = (0..SIDE * SIDE)
         .into_par_iter()
         .map(|i| {
@@ -71,6 +70,19 @@ pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTun
         })
         .collect();
     Environment::from_texels(texels)
+}
+
+/// What is left beside the lamps: low bands, with the hue of the whole light `mean` as far as their own is within their error.
+fn smooth(rest: &mut [[f64; 3]], variance: &[f64], mean: [f64; 3], tuning: &SurroundingsTuning) {
+    let mean_luminance = grey(&[mean])[0].max(f64::MIN_POSITIVE);
+    for (k, r) in rest.iter_mut().enumerate() {
+        let l = (k.isqrt() as f64).min(tuning.residual_bands);
+        let window = 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / tuning.residual_bands));
+        let power = r.iter().map(|x| x * x / 3.0).sum::<f64>().max(f64::MIN_POSITIVE);
+        let trust = (1.0 - tuning.lamp_significance * tuning.lamp_significance * variance[k] / power).max(0.0);
+        let level = grey(&[*r])[0] / mean_luminance;
+        *r = std::array::from_fn(|c| window * (trust * r[c] + (1.0 - trust) * mean[c] * level));
+    }
 }
 
 /// Few bands ring, and each channel does so for itself: what falls below its floor is drawn towards the even level's hue
@@ -92,48 +104,97 @@ fn median(known: &[ObservedTexel]) -> Option<[f64; 3]> {
     Some([channel(0)?, channel(1)?, channel(2)?])
 }
 
-/// Moves peaks of `rest` into lamps: direction and RGB flux.
+/// Variance of the luminance of each coefficient, `[k]`. The errors of the channels are taken as one error: they come
+/// from the same surface. Zero where the light does not say.
+fn luminance_variance(light: &Light, bands: usize) -> Vec<f64> {
+    let deviation = |k: usize| light.standard_deviation.get(k).copied().unwrap_or_default();
+    let of = |k: usize| (0..3).map(|c| LUMINANCE[c] * deviation(k)[c]).sum::<f64>();
+    (0..bands * bands).map(|k| of(k) * of(k)).collect()
+}
+
+/// Luminance of RGB coefficients.
+fn grey(rgb: &[[f64; 3]]) -> Vec<f64> {
+    rgb.iter().map(|x| (0..3).map(|c| LUMINANCE[c] * x[c]).sum()).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Directions in which the light is more than its own error.
+struct Candidates {
+    directions: Vec<Vec3>,
+    /// Y_k of each, `[direction][k]`.
+    basis: Vec<f64>,
+    /// Luminance below which nothing is taken any more, `[direction]`.
+    least: Vec<f64>,
+    /// How far their hue is believed, 0 to 1: 1 − (error / luminance)², `[direction]`.
+    trust: Vec<f64>,
+}
+
+impl Candidates {
+    /// Those that `may` be of the light `rest`, `[k]`; `variance`: that of its luminance, `[k]`.
+    fn new(rest: &[[f64; 3]], variance: &[f64], significance: f64, may: impl Fn(Vec3) -> bool) -> Self {
+        let mut found = Self { directions: Vec::new(), basis: Vec::new(), least: Vec::new(), trust: Vec::new() };
+        let luminance = grey(rest);
+        for d in sh::even_directions(DIRECTIONS).into_iter().filter(|d| may(d.as_vec3())) {
+            let mut y = [0.0; sh::MAX_COEFFICIENTS];
+            let y = &mut y[..variance.len()];
+            sh::eval(d, y);
+            let value = dot(y, &luminance);
+            let error = significance * y.iter().zip(variance).map(|(y, v)| y * y * v).sum::<f64>().sqrt();
+            if value > error {
+                found.directions.push(d.as_vec3());
+                found.basis.extend_from_slice(y);
+                // What was left of a lamp stays one down to half of what it took to be one.
+                found.least.push(0.5 * error);
+                found.trust.push(1.0 - (error / value) * (error / value));
+            }
+        }
+        found
+    }
+
+    /// The brightest one in `rest`, and its luminance there.
+    fn brightest(&self, rest: &[[f64; 3]]) -> Option<(usize, f64)> {
+        let luminance = grey(rest);
+        let values = self.basis.chunks_exact(luminance.len()).map(|y| dot(y, &luminance)).enumerate();
+        values.filter(|(i, x)| *x > self.least[*i]).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
+    }
+}
+
+/// Moves peaks of `rest` into lamps: direction and RGB flux. `variance`: that of the coefficients' luminance, `[k]`; `mean`: RGB of the whole
+/// light, whose hue lamps have as far as their own is not believed.
 fn clean(
     rest: &mut [[f64; 3]],
-    bands: usize,
+    variance: &[f64],
+    mean: [f64; 3],
     tuning: &SurroundingsTuning,
     may: impl Fn(Vec3) -> bool,
 ) -> Vec<(Vec3, Vec3)> {
-    let k = bands * bands;
-    let directions: Vec<_> = sh::even_directions(DIRECTIONS).into_iter().filter(|d| may(d.as_vec3())).collect();
-    let basis: Vec<f64> = directions
-        .iter()
-        .flat_map(|d| {
-            let mut y = [0.0; sh::MAX_COEFFICIENTS];
-            sh::eval(*d, &mut y[..k]);
-            y.into_iter().take(k)
-        })
-        .collect();
+    let k = variance.len();
+    let candidates = Candidates::new(rest, variance, tuning.lamp_significance, may);
+    let mean_luminance: f64 = grey(&[mean])[0];
     let mut lamps: Vec<(Vec3, Vec3)> = Vec::new();
     let mut first = None;
     for _ in 0..tuning.max_lamps {
-        let luminance: Vec<f64> = rest.iter().map(|r| (0..3).map(|c| LUMINANCE[c] * r[c]).sum()).collect();
-        let value = |row: &[f64]| -> f64 { row.iter().zip(&luminance).map(|(y, l)| y * l).sum() };
-        let Some((best, brightest)) =
-            basis.chunks_exact(k).map(value).enumerate().fold(None, |m: Option<(usize, f64)>, (i, x)| {
-                if m.is_none_or(|(_, b)| x > b) { Some((i, x)) } else { m }
-            })
-        else {
-            break;
-        };
+        let Some((best, brightest)) = candidates.brightest(rest) else { break };
         let first = *first.get_or_insert(brightest);
         if brightest <= tuning.faintest_lamp * first || brightest <= 0.0 {
             break;
         }
-        let y = &basis[best * k..(best + 1) * k];
+        let y = &candidates.basis[best * k..(best + 1) * k];
         // A lamp of flux 1 shows as Σ Y_k(ω') Y_k(ω), bands² / 4π at its own place.
         let unit = k as f64 / (4.0 * std::f64::consts::PI);
-        let here: [f64; 3] = std::array::from_fn(|c| y.iter().zip(rest.iter()).map(|(y, r)| y * r[c]).sum());
-        let flux = here.map(|h| (tuning.loop_gain * h / unit).max(0.0));
+        let trust = if mean_luminance > 0.0 { candidates.trust[best] } else { 1.0 };
+        let flux: [f64; 3] = std::array::from_fn(|c| {
+            let own: f64 = y.iter().zip(rest.iter()).map(|(y, r)| y * r[c]).sum();
+            let even = mean[c] * brightest / mean_luminance.max(f64::MIN_POSITIVE);
+            (tuning.loop_gain * (trust * own + (1.0 - trust) * even) / unit).max(0.0)
+        });
         for (r, y) in rest.iter_mut().zip(y) {
             *r = std::array::from_fn(|c| r[c] - flux[c] * y);
         }
-        lamps.push((directions[best].as_vec3(), Vec3::from(flux.map(|f| f as f32))));
+        lamps.push((candidates.directions[best], Vec3::from(flux.map(|f| f as f32))));
     }
     lamps
 }
@@ -153,5 +214,25 @@ mod tests {
         for (a, b) in back.iter().zip(&light.coefficients) {
             assert!((a[1] - b[1]).abs() < 0.1 * light.coefficients[0][1], "{a:?} {b:?}");
         }
+    }
+
+    #[test]
+    fn a_peak_that_the_error_of_the_light_explains_is_no_lamp() {
+        let at = Vec3::new(0.48, 0.36, 0.8);
+        let truth = Environment::from_fn(|d| Vec3::splat(0.3) + Vec3::ONE * if d.dot(at) > 0.985 { 60.0 } else { 0.0 });
+        let coefficients = truth.project(5);
+        // Standard deviation at the lamp, Σ Y_k² σ² = 25 σ² / 4π, beside its blurred peak.
+        let peak = sh::radiance(&coefficients, at.as_dvec3())[1];
+        let lamp = |share: f64| {
+            let deviation = share * peak / (25.0 / (4.0 * std::f64::consts::PI)).sqrt();
+            let light = Light {
+                standard_deviation: vec![[deviation; 3]; 25],
+                coefficients: coefficients.clone(),
+                ..Light::default()
+            };
+            complete(&light, &[], &SurroundingsTuning::default()).radiance(at).y
+        };
+        assert!(lamp(0.1) > 1.5 * peak as f32, "{} {peak}", lamp(0.1));
+        assert!(lamp(1.0) < 1.1 * peak as f32, "{} {peak}", lamp(1.0));
     }
 }
