@@ -29,7 +29,7 @@ pub fn png(
     ready()?;
     let mut pixels = vec![255u8; 3 * width as usize * height as usize];
     draw(BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area()).map_err(|e| e.to_string())?;
-    encode_rgb(width, height, &pixels).map_err(|e| e.to_string())
+    encode_rgb(width, height, &pixels, png::Compression::default()).map_err(|e| e.to_string())
 }
 
 /// The same as an SVG file.

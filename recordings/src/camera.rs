@@ -2,6 +2,7 @@
 
 use crate::types::{CameraModel, Distortion, Intrinsics, Response};
 use glam::DVec3;
+use std::sync::LazyLock;
 
 /// Newton steps at most; three do for real lenses.
 const UNDISTORT_STEPS: usize = 20;
@@ -175,7 +176,55 @@ impl Response {
     /// The nearest 8-bit value of linear light, clipped to 0..1; NaN becomes 0.
     #[must_use]
     pub fn encode(&self, linear: f32) -> u8 {
+        if *self == Self::Srgb { SRGB_STEPS.value(linear) } else { self.rounded(linear) }
+    }
+
+    /// [`Response::encode`] by its definition.
+    fn rounded(&self, linear: f32) -> u8 {
         (255.0 * self.value_from_linear(f64::from(linear).clamp(0.0, 1.0))).round() as u8
+    }
+}
+
+/// 8-bit sRGB of linear light by comparison: pictures and textures have millions of values, and a power costs 50 ns.
+static SRGB_STEPS: LazyLock<Steps> = LazyLock::new(|| Steps::new(&Response::Srgb));
+
+/// Parts of 0..1 whose first value is looked up.
+const CELLS: usize = 4096;
+
+struct Steps {
+    /// The least linear light of each 8-bit value; nothing reaches the last one.
+    least: [f32; 257],
+    /// The 8-bit value at the beginning of each cell.
+    first: [u8; CELLS + 1],
+}
+
+impl Steps {
+    fn new(response: &Response) -> Self {
+        let mut least = [f32::INFINITY; 257];
+        for (value, least) in least.iter_mut().take(256).enumerate() {
+            // Light is not negative, so its bits are in its order.
+            let (mut low, mut high) = (0, 1.0f32.to_bits());
+            while low < high {
+                let middle = low.midpoint(high);
+                if usize::from(response.rounded(f32::from_bits(middle))) >= value {
+                    high = middle
+                } else {
+                    low = middle + 1
+                }
+            }
+            *least = f32::from_bits(low);
+        }
+        Self { least, first: std::array::from_fn(|cell| response.rounded(cell as f32 / CELLS as f32)) }
+    }
+
+    fn value(&self, linear: f32) -> u8 {
+        let linear = linear.clamp(0.0, 1.0);
+        // NaN is cell 0, and reaches nothing.
+        let mut value = self.first[(linear * CELLS as f32) as usize];
+        while linear >= self.least[usize::from(value) + 1] {
+            value += 1;
+        }
+        value
     }
 }
 
@@ -183,6 +232,15 @@ impl Response {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    #[test]
+    fn srgb_by_comparison_is_srgb_by_its_formula() {
+        let limits = SRGB_STEPS.least.iter().take(256).flat_map(|x| [x.next_down(), *x, x.next_up()]);
+        let between = (0..=100_000).map(|i| i as f32 / 100_000.0);
+        for x in limits.chain(between).chain([f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -1.0, 2.0, -0.0]) {
+            assert_eq!(Response::Srgb.encode(x), Response::Srgb.rounded(x), "{x}");
+        }
+    }
 
     fn fr1() -> CameraModel {
         CameraModel {

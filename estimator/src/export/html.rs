@@ -204,7 +204,7 @@ fn pictures(result: &Estimate, scan: Option<&Scan>) -> Result<Vec<String>> {
         .map_while(|k| find(&k.name))
         .map(|k| {
             let image = reduced(&k.color.decode().map_err(Error::other)?);
-            Ok(STANDARD.encode(encode_rgb(image.width, image.height, &image.data)?))
+            Ok(STANDARD.encode(encode_rgb(image.width, image.height, &image.data, png::Compression::default())?))
         })
         .collect()
 }

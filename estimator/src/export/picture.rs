@@ -25,9 +25,9 @@ pub(crate) fn encode_rgba(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u
 }
 
 /// An 8-bit RGB PNG in memory.
-pub(crate) fn encode_rgb(width: u32, height: u32, bytes: &[u8]) -> Result<Vec<u8>> {
+pub(crate) fn encode_rgb(width: u32, height: u32, bytes: &[u8], compression: png::Compression) -> Result<Vec<u8>> {
     let mut out = Vec::new();
-    encode(&mut out, width, height, bytes, png::ColorType::Rgb, png::Compression::default())?;
+    encode(&mut out, width, height, bytes, png::ColorType::Rgb, compression)?;
     Ok(out)
 }
 

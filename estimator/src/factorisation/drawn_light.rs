@@ -88,11 +88,26 @@ fn strongest(
         let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, projection);
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
-    let tried: Vec<_> = WEIGHTS.into_par_iter().map(trial).collect();
+    let mut tried: Vec<_> = WEIGHTS.into_par_iter().map(&trial).collect();
     let most = (1.0 + MOST_RISE) * (1.0 + MOST_RISE) * tried[WEIGHTS.len() - 1].1;
+    let first = tried.iter().position(|t| t.1 <= most)?;
+    // A weight of the grid would jump where an error crosses the limit.
+    if let Some(stronger) = first.checked_sub(1) {
+        let (below, above) = (&tried[first], &tried[stronger]);
+        let share = ((most - below.1) / (above.1 - below.1)).clamp(0.0, 1.0);
+        let between = trial(interpolated(below.0, above.0, share));
+        if between.1 <= most {
+            tried.insert(first, between);
+        }
+    }
     let held_out = tried.iter().map(|t| (t.0, libm::sqrt(t.1))).collect();
     let (weight, _, states) = tried.into_iter().find(|t| t.1 <= most)?;
     Some((Chosen { weight, held_out }, states))
+}
+
+/// The weight a `share` of the way from `low` to `high`, in logarithms; linearly from 0.
+fn interpolated(low: f64, high: f64, share: f64) -> f64 {
+    if low > 0.0 { low * libm::pow(high / low, share) } else { high * share }
 }
 
 /// One channel.
@@ -181,6 +196,14 @@ mod tests {
         let bottom = (0..n).min_by(|a, b| normals[*a].z.total_cmp(&normals[*b].z)).expect("a ball");
         let blue = irradiance[bottom].z * albedo[0][2] as f32 / (irradiance[bottom].x * albedo[0][0] as f32);
         (before, apart(&solution), f64::from(blue))
+    }
+
+    #[test]
+    fn a_weight_between_two_of_the_grid_lies_on_the_way_from_one_to_the_other() {
+        assert_eq!(interpolated(0.1, 10.0, 0.0), 0.1);
+        assert!((interpolated(0.1, 10.0, 0.5) - 1.0).abs() < 1e-12);
+        assert!((interpolated(0.1, 10.0, 1.0) - 10.0).abs() < 1e-12);
+        assert_eq!(interpolated(0.0, 0.001, 0.25), 0.00025);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The sheet: panels, captions, and the facts of the result.
 
 use crate::export::hdr;
+use crate::export::picture::encode_rgb;
 use crate::numerics::cielab::luminance;
 use crate::numerics::robust::{median, quantile};
 use crate::preview::canvas::{FAINT, NOTHING, PANEL, TEXT, TEXT_SIZE, fill, page, pixmap, write_text};
@@ -193,7 +194,9 @@ fn compose(panels: &[(String, Panel)], facts: &[String], height: u32) -> Result<
         write_text(&mut page, (x, y), line, if i == 0 { TEXT } else { FAINT });
         y += LINE;
     }
-    page.encode_png().map_err(|e| e.to_string())
+    // The page is opaque.
+    let rgb: Vec<u8> = page.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+    encode_rgb(page.width(), page.height(), &rgb, png::Compression::Fast).map_err(|e| e.to_string())
 }
 
 /// Facts of the result, in lines that fit a panel.
