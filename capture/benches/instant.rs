@@ -15,9 +15,7 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 
 fn main() -> Outcome<()> {
     for recording in recordings() {
-        let runs = [None, Some("1")].map(|threads| rows(&recording, threads));
-        let [all, one] = runs;
-        let (all, one) = (all?, one?);
+        let (all, one) = (rows(&recording, None)?, rows(&recording, Some("1"))?);
         println!("\n| {} | all threads | one thread |\n|---|---|---|", recording.display());
         for (name, value) in &all {
             let other = one.iter().find(|(n, _)| n == name).map_or("–".into(), |(_, v)| format!("{v:.2}"));
@@ -33,11 +31,11 @@ fn recordings() -> Vec<PathBuf> {
     if !asked.is_empty() {
         return asked;
     }
-    let shared = std::env::var_os("LUMISCAN_SHARED").map(PathBuf::from);
-    let more =
-        ["data/tum_fr1_xyz_400", "data/redkitchen_300"].map(|name| shared.iter().map(|s| s.join(name)).collect());
-    let more = more.into_iter().flat_map(|found: Vec<PathBuf>| found);
-    std::iter::once(Path::new("recordings/data/tabletop.lrec").to_path_buf()).chain(more).collect()
+    let mut usual = vec![PathBuf::from("recordings/data/tabletop.lrec")];
+    if let Some(shared) = std::env::var_os("LUMISCAN_SHARED") {
+        usual.extend(["data/tum_fr1_xyz_400", "data/redkitchen_300"].map(|name| Path::new(&shared).join(name)));
+    }
+    usual
 }
 
 /// The rows of one run.

@@ -101,7 +101,7 @@ fn strongest(
         }
     }
     let held_out = tried.iter().map(|t| (t.0, libm::sqrt(t.1))).collect();
-    let (weight, _, states) = tried.into_iter().find(|t| t.1 <= most)?;
+    let (weight, _, states) = tried.swap_remove(first);
     Some((Chosen { weight, held_out }, states))
 }
 

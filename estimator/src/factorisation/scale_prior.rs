@@ -15,7 +15,7 @@
 use crate::factorisation::albedo::Detail;
 use crate::factorisation::problem::Colors;
 use crate::factorisation::solution::Solution;
-use crate::numerics::cielab::LUMINANCE;
+use crate::numerics::cielab::luminance_f64;
 use crate::numerics::robust::{quantile, weighted_median};
 use firmware_config::tuning::FactorisationTuning;
 use glam::{DVec3, Vec3};
@@ -158,5 +158,5 @@ fn chroma(log: &[f64; 3]) -> [f64; 3] {
 }
 
 fn luminance_of(log_albedo: &[f64; 3], log_factor: &[f64; 3]) -> f64 {
-    (0..3).map(|c| LUMINANCE[c] * libm::exp(log_albedo[c] + log_factor[c])).sum()
+    luminance_f64(&std::array::from_fn(|c| libm::exp(log_albedo[c] + log_factor[c])))
 }

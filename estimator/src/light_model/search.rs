@@ -5,7 +5,7 @@ use crate::factorisation::Projection;
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples::{self, DARK_FLOOR};
 use crate::light_model::solve::{self, Channel, Rows, Values};
-use crate::numerics::cielab::LUMINANCE;
+use crate::numerics::cielab::luminance_f64;
 use crate::rays::RayScene;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -51,8 +51,7 @@ impl<'a> Search<'a> {
     /// The best place, seen as a point; `None` where no place explains anything.
     #[must_use]
     pub fn best_place(&self) -> Option<Vec3> {
-        let luminance = |rgb: &[f64; 3]| LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2];
-        let values = Values::new(&self.rows, luminance);
+        let values = Values::new(&self.rows, luminance_f64);
         let without = solve::solve_channel(&self.rows, &values, &self.projection, REGULARISATION);
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();

@@ -3,12 +3,18 @@
 use glam::Vec3;
 
 /// Weights of R, G and B in the relative luminance (Rec. 709).
-pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
+const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// Relative luminance Y.
 #[must_use]
 pub fn luminance(c: Vec3) -> f32 {
     c.dot(Vec3::from(LUMINANCE.map(|x| x as f32)))
+}
+
+/// Relative luminance Y, of what is not in single precision.
+#[must_use]
+pub fn luminance_f64(rgb: &[f64; 3]) -> f64 {
+    (0..3).map(|c| LUMINANCE[c] * rgb[c]).sum()
 }
 
 /// L*, 0 … 100, of a relative luminance.

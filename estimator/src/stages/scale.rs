@@ -1,7 +1,7 @@
 //! The scale of the distant answer.
 
 use crate::factorisation::scale::{self, Scaled};
-use crate::numerics::cielab::LUMINANCE;
+use crate::numerics::cielab::luminance_f64;
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
 use firmware_config::EstimatorConfig;
@@ -34,5 +34,5 @@ pub fn scale_rule(decisions: &[Decision]) -> String {
 
 /// Luminance of the mean radiance, up to a factor.
 fn level(light: &[[f64; 3]]) -> f64 {
-    light.first().map_or(0.0, |l| (0..3).map(|c| LUMINANCE[c] * l[c]).sum())
+    light.first().map_or(0.0, luminance_f64)
 }

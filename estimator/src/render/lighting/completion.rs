@@ -4,9 +4,10 @@
 //! Lamps are found by CLEAN (Högbom, "Aperture Synthesis with a Non-Regular Distribution of Interferometer Baselines",
 //! A&AS 15, 1974): the brightest direction of the residual gets a small lamp, its blurred image is subtracted, and again.
 
-use crate::numerics::cielab::{LUMINANCE, luminance};
+use crate::numerics::cielab::{luminance, luminance_f64};
+use crate::numerics::dense::dot;
 use crate::numerics::{robust, sh};
-use crate::render::lighting::environment::{Environment, SIDE, direction};
+use crate::render::lighting::environment::{Environment, SIDE, direction, texel};
 use crate::render::lighting::observed_background::ObservedTexel;
 use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
@@ -45,7 +46,7 @@ pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTun
         total.iter().zip(explained).map(|(t, e)| std::array::from_fn(|c| t[c] - e[c])).collect();
 
     let variance = luminance_variance(light, bands);
-    let dark = |d| agreement(crate::render::lighting::environment::texel(d)) < 0.5;
+    let dark = |d| agreement(texel(d)) < 0.5;
     let lamps = clean(&mut rest, &variance, total[0], tuning, dark);
     let width = tuning.lamp_width_rad / bands as f64;
     let sharpness = (1.0 / (width * width)) as f32;
@@ -74,15 +75,25 @@ pub fn complete(light: &Light, known: &[ObservedTexel], tuning: &SurroundingsTun
 
 /// What is left beside the lamps: low bands, with the hue of the whole light `mean` as far as their own is within their error.
 fn smooth(rest: &mut [[f64; 3]], variance: &[f64], mean: [f64; 3], tuning: &SurroundingsTuning) {
-    let mean_luminance = grey(&[mean])[0].max(f64::MIN_POSITIVE);
+    let errors = tuning.lamp_significance * tuning.lamp_significance;
     for (k, r) in rest.iter_mut().enumerate() {
         let l = (k.isqrt() as f64).min(tuning.residual_bands);
         let window = 0.5 * (1.0 + libm::cos(std::f64::consts::PI * l / tuning.residual_bands));
         let power = r.iter().map(|x| x * x / 3.0).sum::<f64>().max(f64::MIN_POSITIVE);
-        let trust = (1.0 - tuning.lamp_significance * tuning.lamp_significance * variance[k] / power).max(0.0);
-        let level = grey(&[*r])[0] / mean_luminance;
-        *r = std::array::from_fn(|c| window * (trust * r[c] + (1.0 - trust) * mean[c] * level));
+        let trust = (1.0 - errors * variance[k] / power).max(0.0);
+        *r = with_hue_of(mean, *r, trust).map(|x| window * x);
     }
+}
+
+/// `own` with the hue of `mean` at its luminance, as far as its hue is not believed: `trust`, 0 to 1.
+fn with_hue_of(mean: [f64; 3], own: [f64; 3], trust: f64) -> [f64; 3] {
+    let mean_luminance = luminance_f64(&mean);
+    // A light without luminance has no hue.
+    if mean_luminance <= 0.0 {
+        return own;
+    }
+    let level = luminance_f64(&own) / mean_luminance;
+    std::array::from_fn(|c| trust * own[c] + (1.0 - trust) * mean[c] * level)
 }
 
 /// Few bands ring, and each channel does so for itself: what falls below its floor is drawn towards the even level's hue
@@ -108,17 +119,7 @@ fn median(known: &[ObservedTexel]) -> Option<[f64; 3]> {
 /// from the same surface. Zero where the light does not say.
 fn luminance_variance(light: &Light, bands: usize) -> Vec<f64> {
     let deviation = |k: usize| light.standard_deviation.get(k).copied().unwrap_or_default();
-    let of = |k: usize| (0..3).map(|c| LUMINANCE[c] * deviation(k)[c]).sum::<f64>();
-    (0..bands * bands).map(|k| of(k) * of(k)).collect()
-}
-
-/// Luminance of RGB coefficients.
-fn grey(rgb: &[[f64; 3]]) -> Vec<f64> {
-    rgb.iter().map(|x| (0..3).map(|c| LUMINANCE[c] * x[c]).sum()).collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    (0..bands * bands).map(|k| luminance_f64(&deviation(k)).powi(2)).collect()
 }
 
 /// Directions in which the light is more than its own error.
@@ -136,7 +137,7 @@ impl Candidates {
     /// Those that `may` be of the light `rest`, `[k]`; `variance`: that of its luminance, `[k]`.
     fn new(rest: &[[f64; 3]], variance: &[f64], significance: f64, may: impl Fn(Vec3) -> bool) -> Self {
         let mut found = Self { directions: Vec::new(), basis: Vec::new(), least: Vec::new(), trust: Vec::new() };
-        let luminance = grey(rest);
+        let luminance: Vec<f64> = rest.iter().map(luminance_f64).collect();
         for d in sh::even_directions(DIRECTIONS).into_iter().filter(|d| may(d.as_vec3())) {
             let mut y = [0.0; sh::MAX_COEFFICIENTS];
             let y = &mut y[..variance.len()];
@@ -156,7 +157,7 @@ impl Candidates {
 
     /// The brightest one in `rest`, and its luminance there.
     fn brightest(&self, rest: &[[f64; 3]]) -> Option<(usize, f64)> {
-        let luminance = grey(rest);
+        let luminance: Vec<f64> = rest.iter().map(luminance_f64).collect();
         let values = self.basis.chunks_exact(luminance.len()).map(|y| dot(y, &luminance)).enumerate();
         values.filter(|(i, x)| *x > self.least[*i]).max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))
     }
@@ -173,7 +174,6 @@ fn clean(
 ) -> Vec<(Vec3, Vec3)> {
     let k = variance.len();
     let candidates = Candidates::new(rest, variance, tuning.lamp_significance, may);
-    let mean_luminance: f64 = grey(&[mean])[0];
     let mut lamps: Vec<(Vec3, Vec3)> = Vec::new();
     let mut first = None;
     for _ in 0..tuning.max_lamps {
@@ -185,12 +185,8 @@ fn clean(
         let y = &candidates.basis[best * k..(best + 1) * k];
         // A lamp of flux 1 shows as Σ Y_k(ω') Y_k(ω), bands² / 4π at its own place.
         let unit = k as f64 / (4.0 * std::f64::consts::PI);
-        let trust = if mean_luminance > 0.0 { candidates.trust[best] } else { 1.0 };
-        let flux: [f64; 3] = std::array::from_fn(|c| {
-            let own: f64 = y.iter().zip(rest.iter()).map(|(y, r)| y * r[c]).sum();
-            let even = mean[c] * brightest / mean_luminance.max(f64::MIN_POSITIVE);
-            (tuning.loop_gain * (trust * own + (1.0 - trust) * even) / unit).max(0.0)
-        });
+        let own: [f64; 3] = std::array::from_fn(|c| y.iter().zip(rest.iter()).map(|(y, r)| y * r[c]).sum());
+        let flux = with_hue_of(mean, own, candidates.trust[best]).map(|x| (tuning.loop_gain * x / unit).max(0.0));
         for (r, y) in rest.iter_mut().zip(y) {
             *r = std::array::from_fn(|c| r[c] - flux[c] * y);
         }
