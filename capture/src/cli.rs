@@ -261,11 +261,11 @@ pub enum ExportTo {
     Folder,
     /// Of a result: the mesh with lit colour, albedo and segment of every vertex.
     Ply,
-    /// Of a result: the light as a Radiance panorama.
+    /// Of a result: distant light as a Radiance panorama, with what the pictures of its scan show beyond the surface.
     Hdr,
-    /// Of a result: the light as an OpenEXR panorama.
+    /// The same as an OpenEXR panorama.
     Exr,
-    /// Of a result: a glTF scene with materials, light and cameras.
+    /// Of a result: a glTF scene with materials, cameras, and light as in the panorama.
     Glb,
     /// Of a result: a folder with the mesh as Wavefront OBJ, its materials and its texture.
     Obj,

@@ -303,6 +303,16 @@ fn every_kind_of_light() {
     let (panoramas, coefficients) = (difference(&own[0], &own[1]), difference(&own[2], &own[3]));
     assert!(panoramas < 1.5 && coefficients < 0.5, "{panoramas} {coefficients}");
 
+    // The pictures of the scan show more of the light than the result alone.
+    std::fs::create_dir(s.dir.join("alone")).unwrap();
+    std::fs::copy(s.dir.join("result.lres"), s.dir.join("alone/result.lres")).unwrap();
+    let own_scan = ["--scan", &s.path("scan.lscan")];
+    for (name, scan) in [("alone.hdr", &[][..]), ("given.hdr", &own_scan)] {
+        ok(&[&["export", &s.path("alone/result.lres"), "--to", "hdr", "-o", &s.path(name)], scan].concat());
+    }
+    let light = |name: &str| std::fs::read(s.dir.join(name)).unwrap();
+    assert!(light("light.hdr") == light("given.hdr") && light("light.hdr") != light("alone.hdr"));
+
     let frames = s.render("frames", &[&view[..], &["--light", &arg(&lights)]].concat());
     assert_eq!(names(&frames), ["000.png", "001.png"]);
     assert_eq!(

@@ -7,6 +7,9 @@ use crate::commands::output::check_parent;
 use crate::commands::output::print;
 use crate::device_folder::files::write_file;
 use crate::failure::Failure;
+use estimator::rays::RayScene;
+use estimator::render::lighting::completion::completed;
+use estimator::render::lighting::environment::Environment;
 use recordings::import::tum::export_tum;
 use recordings::recording::RecordingReader;
 use recordings::result::Estimate;
@@ -34,7 +37,8 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Glb => {
             check_parent(output)?;
-            estimator::export::glb::scene::write(&Estimate::read(&args.file)?, output).map_err(written)?;
+            let (result, light) = with_light(args)?;
+            estimator::export::glb::scene::write(&result, &light, output).map_err(written)?;
         }
         ExportTo::Obj => {
             let result = Estimate::read(&args.file)?;
@@ -42,12 +46,12 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Exr => {
             check_parent(output)?;
-            estimator::export::hdr::write_exr(&Estimate::read(&args.file)?.light, output).map_err(written)?;
+            estimator::export::hdr::write_exr(&with_light(args)?.1, output).map_err(written)?;
         }
         ExportTo::Html => {
             check_parent(output)?;
             let result = Estimate::read(&args.file)?;
-            let scan = find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?;
+            let scan = scan(args)?;
             estimator::export::html::write(&result, scan.as_ref(), &timings(&args.file), output).map_err(written)?;
         }
         ExportTo::Preview => {
@@ -66,18 +70,29 @@ pub fn run(args: &cli::Export) -> Result<(), Failure> {
         }
         ExportTo::Hdr => {
             check_parent(output)?;
-            estimator::export::hdr::write(&Estimate::read(&args.file)?.light, output).map_err(written)?;
+            estimator::export::hdr::write(&with_light(args)?.1, output).map_err(written)?;
         }
     }
     print(&output.display().to_string())
 }
 
+/// A result and its distant light, with what the pictures of its scan show beyond the surface where there is one.
+fn with_light(args: &cli::Export) -> Result<(Estimate, Environment), Failure> {
+    let result = Estimate::read(&args.file)?;
+    let light = completed(&result, scan(args)?.as_ref(), &RayScene::new(&result.mesh));
+    Ok((result, light))
+}
+
+/// The scan of a result, if there is one.
+fn scan(args: &cli::Export) -> Result<Option<Scan>, Failure> {
+    Ok(find_scan(args.scan.as_deref(), &args.file).map(|p| Scan::read(&p)).transpose()?)
+}
+
 /// The scan of a result, for its pictures.
 fn scan_with_pictures(args: &cli::Export) -> Result<Scan, Failure> {
-    let path = find_scan(args.scan.as_deref(), &args.file).ok_or_else(|| {
+    scan(args)?.ok_or_else(|| {
         Failure::Usage("the pictures are in the scan, which is not beside the result: --scan FILE".into())
-    })?;
-    Ok(Scan::read(&path)?)
+    })
 }
 
 /// Seconds by stage from the manifest beside a published result; empty where there is none.

@@ -1,18 +1,17 @@
-//! The light as an equirectangular panorama in Radiance's RGBE format.
+//! Distant light as an equirectangular panorama, in Radiance's RGBE format and as OpenEXR.
 //!
 //! Row r: θ = (r + ½)/H · π from +Z; column c: azimuth 2π (c + ½)/W from +Y, clockwise from above;
 //! direction = (sin θ sin a, sin θ cos a, cos θ).
 
 use crate::export::file::write_whole;
-use crate::numerics::sh;
-use glam::DVec3;
-use recordings::result::Light;
+use crate::render::lighting::environment::Environment;
+use glam::{DVec3, Vec3};
 use std::f64::consts::PI;
 use std::fs::File;
 use std::io::{BufWriter, Result, Write};
 use std::path::Path;
 
-/// Size of the panorama: nine bands need no more.
+/// Size of the panorama: at the equator its pixels are as wide as the texels of [`Environment`].
 const SIZE: (usize, usize) = (512, 256);
 
 /// Direction of a pixel of a panorama of `width` × `height`.
@@ -25,18 +24,17 @@ pub fn direction(x: usize, y: usize, (width, height): (usize, usize)) -> DVec3 {
     DVec3::new(sin * sin_a, sin * cos_a, cos)
 }
 
-/// Radiance of the light over all directions, row-major, not negative.
-#[must_use]
-pub fn panorama(light: &Light, size: (usize, usize)) -> Vec<[f32; 3]> {
+/// Radiance over all directions, row-major.
+fn panorama(light: &Environment, size: (usize, usize)) -> Vec<Vec3> {
     let pixels = (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y)));
-    pixels.map(|(x, y)| sh::radiance(&light.coefficients, direction(x, y, size)).map(|v| v.max(0.0) as f32)).collect()
+    pixels.map(|(x, y)| light.radiance(direction(x, y, size).as_vec3())).collect()
 }
 
 /// Writes the panorama to `path`. Nothing appears under that name before it is complete.
 ///
 /// # Errors
 /// The disk is full or gone.
-pub fn write(light: &Light, path: &Path) -> Result<()> {
+pub fn write(light: &Environment, path: &Path) -> Result<()> {
     write_whole(path, |file| write_to(&panorama(light, SIZE), SIZE, BufWriter::new(file)))
 }
 
@@ -44,15 +42,14 @@ pub fn write(light: &Light, path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// The disk is full or gone.
-pub fn write_exr(light: &Light, path: &Path) -> Result<()> {
-    let pixels: Vec<glam::Vec3> = panorama(light, SIZE).into_iter().map(glam::Vec3::from).collect();
-    crate::export::picture::write_exr(path, SIZE.0, SIZE.1, &pixels)
+pub fn write_exr(light: &Environment, path: &Path) -> Result<()> {
+    crate::export::picture::write_exr(path, SIZE.0, SIZE.1, &panorama(light, SIZE))
 }
 
-fn write_to(pixels: &[[f32; 3]], (width, height): (usize, usize), mut out: BufWriter<&File>) -> Result<()> {
+fn write_to(pixels: &[Vec3], (width, height): (usize, usize), mut out: BufWriter<&File>) -> Result<()> {
     write!(out, "#?RADIANCE\nSOFTWARE=lumiscan\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n")?;
     for row in pixels.chunks_exact(width) {
-        let encoded: Vec<[u8; 4]> = row.iter().map(|p| rgbe(*p)).collect();
+        let encoded: Vec<[u8; 4]> = row.iter().map(|p| rgbe(p.to_array())).collect();
         // The newer run-length form: a marker with the width, then the four components one after the other.
         out.write_all(&[2, 2, (width >> 8) as u8, width as u8])?;
         for component in 0..4 {

@@ -12,16 +12,13 @@ use crate::preview::lamps;
 use crate::preview::spheres;
 use crate::preview::vertex_light::VertexLight;
 use crate::rays::RayScene;
-use crate::render::lighting::completion::complete;
-use crate::render::lighting::environment::Environment;
-use crate::render::lighting::observed_background::surroundings;
+use crate::render::lighting::completion::completed;
 use crate::texture::detail::Detail;
-use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
 use recordings::scan::Scan;
-use recordings::types::{Keyframe, RgbImage};
+use recordings::types::Keyframe;
 use std::fmt::Write;
 use tiny_skia::{PixmapPaint, Transform};
 
@@ -80,7 +77,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
         (format!("Gloss w_s, 0 to {ws_max:.2}"), view.paint(&by_segment(&|s| heat(ws_of(s))), |v| v.to_array())),
     ];
     let lamps = lamps::seen(result);
-    let environment = surrounding_light(scan, result, &scene);
+    let environment = completed(result, Some(scan), &scene);
     let size = (PANEL as usize, PANEL as usize / 2);
     let directions = (0..size.0 * size.1).map(|i| hdr::direction(i % size.0, i / size.0, size).as_vec3());
     let radiance: Vec<Vec3> = directions.map(|d| environment.radiance(d)).collect();
@@ -162,15 +159,6 @@ fn exposure(photo: &Panel, rendering: &Panel, table: &[f32; 256]) -> [f32; 3] {
             both.filter(|((p, pc), (r, rc))| *pc > 0.9 && *rc > 0.9 && p[c] > 0.05 && p[c] < 0.95 && r[c] > 1e-6);
         median(ratios.map(|((p, _), (r, _))| table[(p[c] * 255.0).round() as usize] / r[c])).unwrap_or(1.0)
     })
-}
-
-/// The recovered light with what the keyframes saw beyond the scan.
-fn surrounding_light(scan: &Scan, result: &Estimate, scene: &RayScene) -> Environment {
-    let picture = |name: &str| scan.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
-    let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
-    let tuning = SurroundingsTuning::default();
-    let observed = surroundings(result, scene, &pictures, &tuning);
-    complete(&result.light, &observed, &tuning)
 }
 
 /// Lays the panels out, the facts in the last place.

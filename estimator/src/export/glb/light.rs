@@ -1,8 +1,10 @@
-//! The light of a result in glTF's terms (EXT_lights_image_based): irradiance coefficients and a cube map.
+//! The light of a result in glTF's terms (EXT_lights_image_based): irradiance coefficients of its
+//! harmonics, and a cube map of the light as it is completed.
 
 use crate::export::glb::buffer::Buffer;
 use crate::numerics::sh;
-use glam::DVec3;
+use crate::render::lighting::environment::Environment;
+use glam::{DVec3, Vec3};
 use recordings::result::Estimate;
 use serde_json::{Value, json};
 use std::f64::consts::PI;
@@ -11,21 +13,23 @@ use std::io::Result;
 /// Side of the first mip level of the cube map, in texels.
 const CUBE_SIDE: u32 = 64;
 
-/// The light: irradiance coefficients (bands 0..2 of what a diffuse surface gets) and a cube map of its radiance, RGBD
-/// coded as the extension asks (alpha divides).
-pub fn light(result: &Estimate, buffer: &mut Buffer) -> Result<(Vec<Value>, Value)> {
-    let radiance = |d: DVec3| {
-        let r = sh::radiance(&result.light.coefficients, DVec3::new(d.x, -d.z, d.y));
-        r.map(|x| x.max(0.0))
-    };
+/// The light of a result: irradiance coefficients (bands 0..2 of what a diffuse surface gets) and a cube map of the radiance
+/// of `completed`, RGBD coded as the extension asks (alpha divides).
+pub fn light(result: &Estimate, completed: &Environment, buffer: &mut Buffer) -> Result<(Vec<Value>, Value)> {
+    let radiance = |d: DVec3| completed.radiance(DVec3::new(d.x, -d.z, d.y).as_vec3());
+    // A texel is the mean of four: those of the next level, or of the light at twice the first one's resolution.
+    let fine = 2 * CUBE_SIDE;
+    let mut cube: Vec<Vec<Vec3>> = (0..6)
+        .map(|face| (0..fine * fine).map(|i| radiance(cube_direction(face, i % fine, i / fine, fine))).collect())
+        .collect();
     let levels = CUBE_SIDE.ilog2() + 1;
     let (mut images, mut mips) = (Vec::new(), Vec::new());
     for level in 0..levels {
         let side = CUBE_SIDE >> level;
         let mut faces = Vec::new();
-        for face in 0..6 {
-            let pixels: Vec<u8> =
-                (0..side * side).flat_map(|i| rgbd(radiance(cube_direction(face, i % side, i / side, side)))).collect();
+        for face in &mut cube {
+            *face = halved(face, side as usize);
+            let pixels: Vec<u8> = face.iter().flat_map(|r| rgbd(r.as_dvec3().to_array())).collect();
             let bytes = crate::export::picture::encode_rgba(side, side, &pixels)?;
             let view = buffer.add(&bytes, None);
             images.push(json!({ "bufferView": view, "mimeType": "image/png" }));
@@ -38,6 +42,13 @@ pub fn light(result: &Estimate, buffer: &mut Buffer) -> Result<(Vec<Value>, Valu
         "irradianceCoefficients": irradiance_coefficients(result), "specularImageSize": CUBE_SIDE, "specularImages": mips,
     });
     Ok((images, light))
+}
+
+/// A square of twice the side at half its resolution.
+fn halved(square: &[Vec3], side: usize) -> Vec<Vec3> {
+    let at = |x: usize, y: usize| square[y * 2 * side + x];
+    let mean = |x: usize, y: usize| (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1)) * 0.25;
+    (0..side * side).map(|i| mean(2 * (i % side), 2 * (i / side))).collect()
 }
 
 /// Irradiance in glTF's axes, bands 0 to 2: coefficients `[9][rgb]`, by projection of the light as seen in our axes.

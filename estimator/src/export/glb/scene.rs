@@ -4,6 +4,7 @@ use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
 use crate::export::glb::light::light;
 use crate::export::glb::local_light;
+use crate::render::lighting::environment::Environment;
 use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
 use glam::{DMat3, DQuat, DVec3, Vec3};
 use recordings::result::{Estimate, ResultKeyframe, Segment};
@@ -23,12 +24,12 @@ const LINEAR: u32 = 9729;
 const LINEAR_MIPMAP_LINEAR: u32 = 9987;
 const CLAMP: u32 = 33071;
 
-/// Writes the scene. Nothing appears under `path` before it is complete.
+/// Writes the scene, its surroundings lit by `completed`. Nothing appears under `path` before it is complete.
 ///
 /// # Errors
 /// The disk is full or gone.
-pub fn write(result: &Estimate, path: &Path) -> Result<()> {
-    let bytes = scene(result)?;
+pub fn write(result: &Estimate, completed: &Environment, path: &Path) -> Result<()> {
+    let bytes = scene(result, completed)?;
     write_whole(path, |mut file| file.write_all(&bytes))
 }
 
@@ -36,14 +37,14 @@ pub fn write(result: &Estimate, path: &Path) -> Result<()> {
 ///
 /// # Errors
 /// A picture of the light cannot be encoded.
-pub fn scene(result: &Estimate) -> Result<Vec<u8>> {
+pub fn scene(result: &Estimate, completed: &Environment) -> Result<Vec<u8>> {
     let mut buffer = Buffer::default();
     let primitives = primitives(result, &mut buffer);
     let mut nodes = vec![json!({ "name": result.name, "mesh": 0 })];
     nodes.extend(result.keyframes.iter().enumerate().map(|(index, keyframe)| camera_node(index, keyframe)));
     let (lamps, emitters) = (&result.local_light.lamps, &result.local_light.emitters);
     nodes.extend(lamps.iter().enumerate().map(|(index, lamp)| local_light::lamp_node(index, lamp, turned)));
-    let (mut images, light) = light(result, &mut buffer)?;
+    let (mut images, light) = light(result, completed, &mut buffer)?;
     let mut extensions = vec!["KHR_materials_specular", "EXT_lights_image_based"];
     extensions.extend((!lamps.is_empty()).then_some("KHR_lights_punctual"));
     extensions.extend((!emitters.is_empty()).then_some("KHR_materials_emissive_strength"));
@@ -195,10 +196,14 @@ mod tests {
     use crate::render::objects::gltf::document;
     use recordings::local_light::{Emitter, Lamp};
 
+    fn written(result: &Estimate) -> Vec<u8> {
+        scene(result, &Environment::from_light(&result.light)).unwrap()
+    }
+
     #[test]
     fn our_own_reader_gets_the_mesh_back() {
         let result = tiny();
-        let object = document::read(&scene(&result).unwrap(), Path::new(".")).unwrap();
+        let object = document::read(&written(&result), Path::new(".")).unwrap();
         assert_eq!(object.mesh.triangles.len(), result.mesh.triangles.len());
         for t in &object.mesh.triangles {
             for &i in t {
@@ -211,7 +216,7 @@ mod tests {
 
     #[test]
     fn a_texture_takes_the_place_of_the_colours() {
-        let object = document::read(&scene(&textured()).unwrap(), Path::new(".")).unwrap();
+        let object = document::read(&written(&textured()), Path::new(".")).unwrap();
         for (p, brdf) in object.mesh.positions.iter().zip(object.vertex_brdfs()).filter(|(p, _)| p.x != 0.0) {
             let (own, other) =
                 if p.x < 0.0 { (brdf.diffuse.x, brdf.diffuse.y) } else { (brdf.diffuse.y, brdf.diffuse.x) };
@@ -225,7 +230,7 @@ mod tests {
         result.local_light.lamps = vec![Lamp { center: [1.0, 2.0, 3.0], radius_m: 0.1, radiance: [8.0, 4.0, 2.0] }];
         let vertices = result.mesh.triangles[0].to_vec();
         result.local_light.emitters = vec![Emitter { vertices, radiance: [2.0, 4.0, 1.0] }];
-        let bytes = scene(&result).unwrap();
+        let bytes = written(&result);
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
         let root: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
         let light = &root["extensions"]["KHR_lights_punctual"]["lights"][0];
@@ -244,7 +249,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let files = [tiny(), textured()].map(|result| {
             let file = folder.path().join(if result.texture.is_some() { "textured.glb" } else { "tiny.glb" });
-            write(&result, &file).unwrap();
+            write(&result, &Environment::from_light(&result.light), &file).unwrap();
             file
         });
         let script = "const v=require('gltf-validator'),fs=require('fs');\
