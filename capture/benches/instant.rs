@@ -35,7 +35,7 @@ fn main() -> Outcome<()> {
         for (name, value) in &all {
             let of = |rows: &[(String, f64)]| rows.iter().find(|(n, _)| n == name).map(|(_, v)| *v);
             let other = of(&one).map_or("–".into(), |v| format!("{v:.2}"));
-            let bound = of(&bounds).map_or("–".into(), |v| format!("{v:.3}"));
+            let bound = of(&bounds).map_or("–".into(), |v| format!("{v:.4}"));
             println!("| {name} | {value:.2} | {other} | {bound} |");
         }
     }
