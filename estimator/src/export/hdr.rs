@@ -25,7 +25,8 @@ pub fn direction(x: usize, y: usize, (width, height): (usize, usize)) -> DVec3 {
 }
 
 /// Radiance over all directions, row-major.
-fn panorama(light: &Environment, size: (usize, usize)) -> Vec<Vec3> {
+#[must_use]
+pub fn panorama(light: &Environment, size: (usize, usize)) -> Vec<Vec3> {
     let pixels = (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y)));
     pixels.map(|(x, y)| light.radiance(direction(x, y, size).as_vec3())).collect()
 }

@@ -79,8 +79,7 @@ pub fn sheet(scan: &Scan, result: &Estimate) -> Result<Vec<u8>, String> {
     let lamps = lamps::seen(result);
     let environment = completed(result, Some(scan), &scene);
     let size = (PANEL as usize, PANEL as usize / 2);
-    let directions = (0..size.0 * size.1).map(|i| hdr::direction(i % size.0, i / size.0, size).as_vec3());
-    let radiance: Vec<Vec3> = directions.map(|d| environment.radiance(d)).collect();
+    let radiance = hdr::panorama(&environment, size);
     let exposed = LightExposure::of(&radiance);
     let pixels = radiance.iter().map(|v| (exposed.display(*v), 1.0)).collect();
     let mut panorama = Panel { width: size.0 as u32, height: size.1 as u32, pixels };

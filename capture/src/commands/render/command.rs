@@ -18,7 +18,7 @@ use estimator::render::error::RenderError;
 use estimator::render::inpainting::geometry::cut;
 use estimator::render::lighting::completion::complete;
 use estimator::render::lighting::lamp_change::changed_light;
-use estimator::render::lighting::observed_background::{ObservedBackground, surroundings};
+use estimator::render::lighting::observed_background::{ObservedBackground, pictures, surroundings};
 use estimator::render::objects::insert::{give_material, load as load_object};
 use estimator::render::objects::object::Object;
 use estimator::render::relight::{NewLight, Relight};
@@ -65,8 +65,7 @@ pub fn run(args: &Render, reporter: &Reporter) -> Result<(), Failure> {
     let cut = cut(&estimate.mesh, &gone, &config.tuning.inpainting);
     let objects = objects(args, &estimate, &cut.kept, first, &config)?;
     reporter.step(&step("light", 0.0, String::new()));
-    let pictures: Vec<Option<RgbImage>> =
-        estimate.keyframes.iter().map(|k| picture_of(scan.as_ref(), &k.name)).collect();
+    let pictures = pictures(&estimate, scan.as_ref());
     let beyond = &config.tuning.surroundings;
     let known = surroundings(&estimate, &scene, &pictures, beyond);
     let environment = complete(&estimate.light, &known, beyond);
@@ -130,10 +129,6 @@ fn read_scan(args: &Render) -> Result<Option<Scan>, Failure> {
         return Ok(None);
     };
     Ok(Some(Scan::read(&path)?))
-}
-
-fn picture_of(scan: Option<&Scan>, name: &str) -> Option<RgbImage> {
-    scan?.keyframes.iter().find(|k| k.name == name)?.color.decode().ok()
 }
 
 /// What is inserted, in its place on `mesh`: what stays of the scan.

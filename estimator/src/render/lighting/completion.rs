@@ -9,13 +9,12 @@ use crate::numerics::dense::dot;
 use crate::numerics::{robust, sh};
 use crate::rays::RayScene;
 use crate::render::lighting::environment::{Environment, SIDE, direction, texel};
-use crate::render::lighting::observed_background::{ObservedTexel, surroundings};
+use crate::render::lighting::observed_background::{ObservedTexel, pictures, surroundings};
 use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::{Estimate, Light};
 use recordings::scan::Scan;
-use recordings::types::RgbImage;
 
 /// Directions that are searched for peaks.
 const DIRECTIONS: usize = 4000;
@@ -23,10 +22,8 @@ const DIRECTIONS: usize = 4000;
 /// Light of a result over the surface `scene`, with what the keyframes of its `scan` saw beyond that surface.
 #[must_use]
 pub fn completed(result: &Estimate, scan: Option<&Scan>, scene: &RayScene) -> Environment {
-    let picture = |name: &str| scan?.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
-    let pictures: Vec<Option<RgbImage>> = result.keyframes.iter().map(|k| picture(&k.name)).collect();
     let tuning = SurroundingsTuning::default();
-    complete(&result.light, &surroundings(result, scene, &pictures, &tuning), &tuning)
+    complete(&result.light, &surroundings(result, scene, &pictures(result, scan), &tuning), &tuning)
 }
 
 /// Light of a result with the background that its keyframes observed (`[texel]`, or empty).

@@ -7,6 +7,7 @@ use firmware_config::tuning::SurroundingsTuning;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::result::{Estimate, ResultKeyframe};
+use recordings::scan::Scan;
 use recordings::types::RgbImage;
 
 /// Radiance of one texel of the surroundings.
@@ -128,6 +129,13 @@ fn extrapolate(known: &mut [ObservedTexel], tuning: &SurroundingsTuning) {
         let influence = all * weight;
         k.proximity = influence / (influence + tuning.half_weight as f32);
     });
+}
+
+/// Pictures of a result's keyframes, `[keyframe]`; `None` where the scan has none that can be decoded.
+#[must_use]
+pub fn pictures(estimate: &Estimate, scan: Option<&Scan>) -> Vec<Option<RgbImage>> {
+    let of = |name: &str| scan?.keyframes.iter().find(|k| k.name == name)?.color.decode().ok();
+    estimate.keyframes.iter().map(|k| of(&k.name)).collect()
 }
 
 /// Surroundings per texel of an [`Environment`], from pictures (one a keyframe, `None` where there is none).
