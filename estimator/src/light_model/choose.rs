@@ -143,6 +143,7 @@ pub fn choose(
 }
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.
+#[derive(Clone)]
 struct Model {
     lamps: Vec<Sphere>,
     emitters: Vec<usize>,
@@ -383,6 +384,7 @@ impl<'a> Choice<'a> {
             if fill == FILLS {
                 break;
             }
+            let before = self.radiance.clone();
             for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
                 let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
                 let reflected = Vec3::from_array(albedo) * *irradiance;
@@ -392,7 +394,13 @@ impl<'a> Choice<'a> {
                     *radiance = colors.lit_color[i].max(reflected);
                 }
             }
-            model = self.regularised(model);
+            let next = self.regularised(model.clone());
+            // A lamp that nearly touches what was not seen would make that outshine all.
+            if is_better(&model.blocks, &next.blocks) {
+                self.radiance = before;
+                break;
+            }
+            model = next;
         }
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
