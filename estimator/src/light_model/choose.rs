@@ -384,7 +384,6 @@ impl<'a> Choice<'a> {
             if fill == FILLS {
                 break;
             }
-            let before = self.radiance.clone();
             for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
                 let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
                 let reflected = Vec3::from_array(albedo) * *irradiance;
@@ -397,7 +396,6 @@ impl<'a> Choice<'a> {
             let next = self.regularised(model.clone());
             // A lamp that nearly touches what was not seen would make that outshine all.
             if is_better(&model.blocks, &next.blocks) {
-                self.radiance = before;
                 break;
             }
             model = next;
