@@ -40,14 +40,15 @@ const UNQUESTIONED: f64 = 0.03;
 const CLEAR: f64 = 0.5;
 /// Lamps at most.
 const MAX_LAMPS: usize = 4;
-/// Rays to a lamp from a vertex.
-const LAMP_RAYS: u32 = 8;
 /// Radius of a lamp that was not seen, as a share of its distance from the scene's centre.
 const LAMP_RADIUS: f32 = 0.05;
 /// A lamp this many scene sizes away is at infinity.
 const INFINITE: f32 = 1e3;
 /// Light that is not secondary is not scaled by less than this where secondary light is nearly all there is.
 const MIN_REST: f64 = 0.1;
+/// What was not seen is taken to bring its whole radiance somewhere: hidden behind furniture, where hardly any of it arrives, it would
+/// else be taken for a blinding light.
+const LEAST_OF_UNSEEN: f64 = 1.0;
 /// Times that radiance of what was not seen is taken from the model.
 const FILLS: usize = 2;
 /// A fill that multiplies the held-out error by this has run away: a lamp that nearly touches what was not seen makes it outshine
@@ -171,12 +172,13 @@ struct Columns {
     columns: usize,
     shared: Vec<f32>,
     secondary: Vec<[f64; 3]>,
+    least_brought: Vec<f64>,
 }
 
 impl Columns {
     fn rows<'a>(&'a self, samples: &'a Samples) -> Rows<'a> {
-        let Self { coefficients, columns, ref shared, ref secondary } = *self;
-        Rows { samples, coefficients, columns, shared, secondary }
+        let Self { coefficients, columns, ref shared, ref secondary, ref least_brought } = *self;
+        Rows { samples, coefficients, columns, shared, secondary, least_brought }
     }
 }
 
@@ -242,7 +244,7 @@ impl<'a> Choice<'a> {
     /// Columns of (N5) with these sources, in `bands` bands.
     fn columns(&self, bands: usize, emitters: &[usize], lamps: &[Sphere]) -> Columns {
         let Scene { mesh, rays, .. } = *self.scene;
-        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &self.samples.vertex, l, LAMP_RAYS);
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &self.samples.vertex, l);
         let lamps: Vec<Vec<f32>> = lamps.iter().map(lamp).collect();
         let (all, coefficients) = (self.traced.bands * self.traced.bands, bands * bands);
         let columns = coefficients + emitters.len() + lamps.len();
@@ -255,7 +257,9 @@ impl<'a> Choice<'a> {
         }
         let secondary = |i: &u32| secondary::secondary(self.traced, &radiance, *i as usize);
         let secondary = self.samples.vertex.par_iter().map(secondary).map(|g| g.to_array().map(f64::from)).collect();
-        Columns { coefficients, columns, shared, secondary }
+        let least = |p: &usize| if *p < self.unseen { 0.0 } else { LEAST_OF_UNSEEN };
+        let least_brought = emitters.iter().map(least).collect();
+        Columns { coefficients, columns, shared, secondary, least_brought }
     }
 
     fn bands(&self) -> usize {
@@ -373,7 +377,7 @@ impl<'a> Choice<'a> {
         let Scene { mesh, rays, colors, .. } = *self.scene;
         let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
         let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
-        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l, LAMP_RAYS);
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l);
         let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
         let mut model = model;
         let (mut irradiance, mut secondary) = (Vec::new(), Vec::new());

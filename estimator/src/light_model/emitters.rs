@@ -2,6 +2,7 @@
 //! and patches that no picture shows.
 
 use crate::light_model::samples::bounds;
+use crate::light_model::visibility::visible_share;
 use crate::mesh::graph::Graph;
 use crate::numerics::random::{hash, unit};
 use crate::rays::RayScene;
@@ -19,13 +20,13 @@ const MIN_VERTICES: usize = 4;
 const UNSEEN_RADII: f32 = 2.5;
 /// … to so many times its own vertices at most: a lamp's back, not the wall behind.
 const UNSEEN_RATIO: usize = 4;
-/// Hits from which the share of rays is a better estimate than points on the piece.
-const ENOUGH_HITS: usize = 20;
 /// Edge of a patch of unseen surface, as a share of the scene's size, and patches at most, largest first.
 const PATCH: f32 = 0.1;
 const MAX_PATCHES: usize = 40;
-/// Points on a piece that a vertex looks at.
-const POINTS: usize = 16;
+/// Points that stand for a piece at most.
+const POINTS: usize = 256;
+/// A point that brings this share of all light by itself is so near that those of the piece lie too far apart.
+const COARSE: f32 = 0.3;
 
 /// A piece of surface that may emit.
 #[derive(Debug, Clone)]
@@ -48,6 +49,46 @@ impl Piece {
 
     fn area(&self) -> f32 {
         self.cumulative_area.last().copied().unwrap_or(0.0)
+    }
+
+    /// Its vertices, or fewer that stand for equal areas.
+    fn points(&self, mesh: &Mesh, scene: &RayScene) -> Vec<Point> {
+        let point = |n: usize, area: f32| {
+            let (at, normal) = (mesh.positions[self.vertices[n] as usize], mesh.normals[self.vertices[n] as usize]);
+            Point { position: scene.offset_origin(at, normal), normal, area }
+        };
+        if self.vertices.len() <= POINTS {
+            let before = |n: usize| if n == 0 { 0.0 } else { self.cumulative_area[n - 1] };
+            return (0..self.vertices.len()).map(|n| point(n, self.cumulative_area[n] - before(n))).collect();
+        }
+        let share = self.area() / POINTS as f32;
+        let drawn = |n: usize| {
+            let index = self.cumulative_area.partition_point(|a| *a <= share * (n as f32 + 0.5));
+            point(index.min(self.vertices.len() - 1), share)
+        };
+        (0..POINTS).map(drawn).collect()
+    }
+}
+
+/// A point on a piece.
+struct Point {
+    /// Off the surface, as rays need it.
+    position: Vec3,
+    normal: Vec3,
+    area: f32,
+}
+
+impl Point {
+    /// Its part of F where nothing is between: that of a disc, which is finite however near it is.
+    fn brings(&self, origin: Vec3, normal: Vec3) -> f32 {
+        let to = self.position - origin;
+        let square = to.length_squared();
+        let (here, there) = (to.dot(normal), -to.dot(self.normal));
+        // Written so that NaN fails too.
+        if !(here > 0.0 && there > 0.0) {
+            return 0.0;
+        }
+        self.area * here * there / (square * (std::f32::consts::PI * square + self.area))
     }
 }
 
@@ -112,35 +153,41 @@ fn vertex_areas(mesh: &Mesh) -> Vec<f32> {
     area
 }
 
-/// F of (N4) at many vertices: the share of their rays that hit the front of the piece, or, where those are few, the
-/// integral of cosines over squared distance by points on the piece.
+/// F of (N4) at many vertices: the integral of cosines over squared distance by points on the piece, of which rays tell the visible
+/// share, drawn by what each point brings; the share of the vertex's rays that hit the front of the piece where the points lie
+/// too far apart for that. Noise of F counts as error of a model that is right: it must stay well below that of lit colours.
 #[must_use]
 pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piece, vertices: &[u32]) -> Vec<f32> {
     let mut emits = vec![false; mesh.positions.len()];
     piece.vertices.iter().for_each(|&i| emits[i as usize] = true);
-    let factor = |&vertex: &u32| {
-        let hits = traced.hits(vertex as usize).iter().filter(|h| emits[**h as usize]).count();
-        if hits >= ENOUGH_HITS {
-            return hits as f32 / traced.hit_rays() as f32;
-        }
+    let points = piece.points(mesh, scene);
+    let factor = |brings: &mut Vec<f32>, &vertex: &u32| {
         let (position, normal) = (mesh.positions[vertex as usize], mesh.normals[vertex as usize]);
         let origin = scene.offset_origin(position, normal);
+        let (mut total, mut most) = (0.0, 0.0f32);
+        brings.clear();
+        for point in &points {
+            let one = point.brings(origin, normal);
+            total += one;
+            most = most.max(one);
+            brings.push(total);
+        }
+        if total <= 0.0 {
+            return 0.0;
+        }
+        if most > COARSE && traced.hit_rays() > 0 {
+            let hits = traced.hits(vertex as usize).iter().filter(|h| emits[**h as usize]).count();
+            return hits as f32 / traced.hit_rays() as f32;
+        }
         let shift = unit(hash(vertex, 0xe317));
-        let point = |n: usize| {
-            let at = piece.area() * (n as f32 + shift) / POINTS as f32;
-            let index = piece.cumulative_area.partition_point(|a| *a <= at).min(piece.vertices.len() - 1);
-            let from = piece.vertices[index] as usize;
-            let to = scene.offset_origin(mesh.positions[from], mesh.normals[from]) - origin;
+        let visible = visible_share(|ray, of| {
+            let drawn = total * (ray as f32 + shift) / of as f32;
+            let point = &points[brings.partition_point(|b| *b <= drawn).min(points.len() - 1)];
+            let to = point.position - origin;
             let distance = to.length();
-            let direction = to / distance;
-            let (here, there) = (direction.dot(normal), -direction.dot(mesh.normals[from]));
-            // Written so that NaN fails too.
-            if !(here > 0.0 && there > 0.0) || scene.occluded_within(origin, direction, distance) {
-                return 0.0;
-            }
-            here * there / (std::f32::consts::PI * distance * distance)
-        };
-        (piece.area() / POINTS as f32 * (0..POINTS).map(point).sum::<f32>()).min(1.0)
+            !scene.occluded_within(origin, to / distance, distance)
+        });
+        (total * visible).min(1.0)
     };
-    vertices.par_iter().map(factor).collect()
+    vertices.par_iter().map_init(Vec::new, factor).collect()
 }

@@ -1,5 +1,6 @@
 //! Lamps beside the scene (N2): spheres of radiance L, radius r and centre c; their power is P = L r².
 
+use crate::light_model::visibility::visible_share;
 use crate::numerics::random::{hash, unit};
 use crate::rays::RayScene;
 use glam::Vec3;
@@ -18,10 +19,9 @@ pub struct Sphere {
     pub radius: f32,
 }
 
-/// g of (N2) at a vertex: V max(0, n·d^) / |d|², the visibility V averaged over the sphere's disc by `rays` rays (1: to the
-/// centre). The power is its coefficient.
+/// g of (N2) at a vertex: V max(0, n·d^) / |d|², the visibility V averaged over the sphere's disc. The power is its coefficient.
 #[must_use]
-pub fn form_factor(mesh: &Mesh, scene: &RayScene, vertex: usize, sphere: &Sphere, rays: u32) -> f32 {
+pub fn form_factor(mesh: &Mesh, scene: &RayScene, vertex: usize, sphere: &Sphere) -> f32 {
     let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
     let toward = sphere.center - position;
     let direction = toward.normalize_or_zero();
@@ -30,21 +30,27 @@ pub fn form_factor(mesh: &Mesh, scene: &RayScene, vertex: usize, sphere: &Sphere
         return 0.0;
     }
     let origin = scene.offset_origin(position, normal);
-    let (x, y) = direction.any_orthonormal_pair();
-    let turn = std::f32::consts::TAU * unit(hash(vertex as u32, 0x1a3b));
-    let visible = |ray: u32| {
-        let radius = if rays > 1 { sphere.radius * ((ray as f32 + 0.5) / rays as f32).sqrt() } else { 0.0 };
-        let (sin, cos) = libm::sincosf(GOLDEN_ANGLE * ray as f32 + turn);
-        let to = sphere.center + (x * cos + y * sin) * radius - origin;
+    let is_free = |point: Vec3| {
+        let to = point - origin;
         let distance = to.length();
         !scene.occluded_within(origin, to / distance, distance)
     };
-    let free = (0..rays).filter(|ray| visible(*ray)).count();
-    cosine * free as f32 / (rays as f32 * toward.length_squared().max(sphere.radius * sphere.radius))
+    let visible = if sphere.radius > 0.0 {
+        let (x, y) = direction.any_orthonormal_pair();
+        let turn = std::f32::consts::TAU * unit(hash(vertex as u32, 0x1a3b));
+        visible_share(|ray, of| {
+            let radius = sphere.radius * ((ray as f32 + 0.5) / of as f32).sqrt();
+            let (sin, cos) = libm::sincosf(GOLDEN_ANGLE * ray as f32 + turn);
+            is_free(sphere.center + (x * cos + y * sin) * radius)
+        })
+    } else {
+        f32::from(is_free(sphere.center))
+    };
+    cosine * visible / toward.length_squared().max(sphere.radius * sphere.radius)
 }
 
 /// The same at many vertices.
 #[must_use]
-pub fn form_factors(mesh: &Mesh, scene: &RayScene, vertices: &[u32], sphere: &Sphere, rays: u32) -> Vec<f32> {
-    vertices.par_iter().map(|&i| form_factor(mesh, scene, i as usize, sphere, rays)).collect()
+pub fn form_factors(mesh: &Mesh, scene: &RayScene, vertices: &[u32], sphere: &Sphere) -> Vec<f32> {
+    vertices.par_iter().map(|&i| form_factor(mesh, scene, i as usize, sphere)).collect()
 }

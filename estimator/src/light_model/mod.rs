@@ -13,6 +13,7 @@ mod search;
 mod secondary;
 mod smooth_fallback;
 mod solve;
+mod visibility;
 
 #[cfg(test)]
 mod tests;

@@ -127,7 +127,7 @@ impl<'a> Search<'a> {
                 let sphere = Sphere { center: *place, radius: 0.0 };
                 let column: Vec<f64> = vertices
                     .iter()
-                    .map(|&i| f64::from(lamps::form_factor(self.mesh, self.scene, i as usize, &sphere, 1)))
+                    .map(|&i| f64::from(lamps::form_factor(self.mesh, self.scene, i as usize, &sphere)))
                     .collect();
                 let mut lamp_cross = vec![0.0; samples.segments];
                 let (mut square, mut lamp_level) = (0.0, 0.0);
@@ -157,7 +157,7 @@ impl<'a> Search<'a> {
     fn cost(&self, values: &Values, place: Vec3) -> f64 {
         let samples = self.rows.samples;
         let sphere = Sphere { center: place, radius: 0.0 };
-        let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere, 1);
+        let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere);
         let (shared, columns) = self.rows.with_column(&column);
         let rows = Rows { shared: &shared, columns, ..self.rows };
         let solved = solve::solve_channel(&rows, values, &self.projection, REGULARISATION);

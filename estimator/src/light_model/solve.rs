@@ -49,6 +49,9 @@ pub struct Rows<'a> {
     pub shared: &'a [f32],
     /// Secondary light as it was observed.
     pub secondary: &'a [[f64; 3]],
+    /// The share of what a source radiates that its prior takes it to bring at least, where it is strongest: `[source]`, none for
+    /// those at the end that it leaves out.
+    pub least_brought: &'a [f64],
 }
 
 /// What the rows say.
@@ -146,7 +149,8 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut scale_deviation = f64::INFINITY;
     let mut row = vec![0.0; dim];
     let largest = |j: usize| fitted.iter().map(|n| f64::from(shared[n * columns + j])).fold(0.0, f64::max);
-    let strongest: Vec<f64> = (coefficients..columns).map(largest).collect();
+    let brought = |j: usize| largest(j).max(rows.least_brought.get(j - coefficients).copied().unwrap_or(0.0));
+    let strongest: Vec<f64> = (coefficients..columns).map(brought).collect();
     let isa = Isa::detect();
     for round in 0..ROUNDS {
         let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
@@ -440,7 +444,14 @@ mod tests {
         let sky = 0.5 / libm::sqrt(std::f64::consts::PI);
         let shared: Vec<f32> = (0..=last).flat_map(|n| [sky as f32, if n == last { 1.0 } else { 0.0 }]).collect();
         let secondary = vec![[0.05; 3]; samples.len()];
-        let rows = Rows { samples: &samples, coefficients: 1, columns: 2, shared: &shared, secondary: &secondary };
+        let rows = Rows {
+            samples: &samples,
+            coefficients: 1,
+            columns: 2,
+            shared: &shared,
+            secondary: &secondary,
+            least_brought: &[],
+        };
         let solved = solve(&rows, 1e-3);
         assert_eq!(solved.radiance.len(), directions().len());
         solved.irradiance[last][0] / solved.irradiance[0][0]

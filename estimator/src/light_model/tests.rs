@@ -100,7 +100,7 @@ fn a_lamp_beside_the_scene_is_found_where_it_is() {
     let power = Vec3::new(0.5, 0.4, 0.3);
     let (near, decision, segment) = chosen(|mesh, scene, traced, i| {
         let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.1;
-        power * lamps::form_factor(mesh, scene, i, &LAMP, 8) + Vec3::splat(sky)
+        power * lamps::form_factor(mesh, scene, i, &LAMP) + Vec3::splat(sky)
     });
     let near = near.unwrap_or_else(|| panic!("distant light was kept: {decision:?}"));
     assert_eq!(near.light.model, LightModel::Lamps, "{decision:?}");
