@@ -311,7 +311,7 @@ impl Decision {
                 format!("{} texels of {} × {} in {} charts", atlas.texels, atlas.width, atlas.height, atlas.charts)
             }
             Self::Texture { atlas: None, .. } => String::new(),
-            Self::Veil { held_out, .. } => format!("{} factorisations", held_out.len()),
+            Self::Veil { held_out, .. } => format!("{} shares tried", held_out.len()),
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } => "2 models compared".into(),
             Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),

@@ -191,3 +191,49 @@ pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piec
     };
     vertices.par_iter().map_init(Vec::new, factor).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transfer::unoccluded;
+
+    /// Appends a rectangle about `center` of `n` × `n` cells that faces down.
+    fn rectangle(mesh: &mut Mesh, center: Vec3, [x, y]: [f32; 2], n: u32) -> Vec<u32> {
+        let first = mesh.positions.len() as u32;
+        for k in 0..(n + 1) * (n + 1) {
+            let at = |k: u32| k as f32 / n as f32 - 0.5;
+            mesh.positions.push(center + Vec3::new(at(k / (n + 1)) * x, at(k % (n + 1)) * y, 0.0));
+            mesh.normals.push(Vec3::NEG_Z);
+            if k / (n + 1) < n && k % (n + 1) < n {
+                let a = first + k;
+                mesh.triangles.extend([[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]);
+            }
+        }
+        (first..mesh.positions.len() as u32).collect()
+    }
+
+    #[test]
+    fn a_lamp_that_a_screen_hides_in_part_brings_the_part_that_is_seen() {
+        let mut mesh = Mesh::default();
+        let receivers: Vec<f32> = (0..9).map(|k| 0.04 * (k as f32 - 4.0)).collect();
+        mesh.positions.extend(receivers.iter().map(|x| Vec3::new(*x, 0.0, 0.0)));
+        mesh.normals.resize(receivers.len(), Vec3::Z);
+        let lamp = rectangle(&mut mesh, Vec3::Z, [0.4, 0.4], 60);
+        // Hides what lies below x = 0, half way up.
+        rectangle(&mut mesh, Vec3::new(-1.0, 0.0, 0.5), [2.0, 2.0], 1);
+        let piece = Piece::new(lamp, &vertex_areas(&mesh));
+        let of: Vec<u32> = (0..receivers.len() as u32).collect();
+        let found = form_factors(&mesh, &RayScene::new(&mesh), &unoccluded(&mesh, 1), &piece, &of);
+        for (from, found) in receivers.into_iter().zip(found) {
+            let (mut whole, mut seen, n) = (0.0, 0.0, 400);
+            for k in 0..n * n {
+                let [x, y] = [k / n, k % n].map(|i| 0.4 * ((i as f32 + 0.5) / n as f32 - 0.5));
+                let square = (x - from) * (x - from) + y * y + 1.0;
+                let one = 0.16 / (n * n) as f32 / (std::f32::consts::PI * square * square);
+                whole += one;
+                seen += if x > -from { one } else { 0.0 };
+            }
+            assert!((found - seen).abs() < 0.025 * whole, "at {from}: {found} instead of {seen} of {whole}");
+        }
+    }
+}

@@ -425,9 +425,9 @@ mod tests {
     use super::*;
     use crate::factorisation::directions;
 
-    /// A uniform sky over surface of albedo ½, and one emitter that only the last sample sees, which is `bright` times as bright as
-    /// the others and weighs `weight`.
-    fn light_at_the_last(bright: f64, weight: f64) -> f64 {
+    /// A uniform sky over surface of albedo ½, and one emitter of which only the last sample gets `share`, which is `bright` times as
+    /// bright as the others and weighs `weight`. Light at the last over that at the first, and the emitter's radiance over the latter.
+    fn light_at_the_last(bright: f64, weight: f64, share: f32, least_brought: f64) -> [f64; 2] {
         let count = 200;
         let mut samples = Samples {
             vertex: (0..count).collect(),
@@ -442,7 +442,7 @@ mod tests {
         let last = samples.len() - 1;
         (samples.weight[last], samples.color[last]) = (weight, [0.5 * bright; 3]);
         let sky = 0.5 / libm::sqrt(std::f64::consts::PI);
-        let shared: Vec<f32> = (0..=last).flat_map(|n| [sky as f32, if n == last { 1.0 } else { 0.0 }]).collect();
+        let shared: Vec<f32> = (0..=last).flat_map(|n| [sky as f32, if n == last { share } else { 0.0 }]).collect();
         let secondary = vec![[0.05; 3]; samples.len()];
         let rows = Rows {
             samples: &samples,
@@ -450,18 +450,26 @@ mod tests {
             columns: 2,
             shared: &shared,
             secondary: &secondary,
-            least_brought: &[],
+            least_brought: &[least_brought],
         };
         let solved = solve(&rows, 1e-3);
         assert_eq!(solved.radiance.len(), directions().len());
-        solved.irradiance[last][0] / solved.irradiance[0][0]
+        [solved.irradiance[last][0], solved.light[1][0]].map(|x| x / solved.irradiance[0][0])
     }
 
     #[test]
     fn what_one_poor_sample_tells_is_not_taken_for_a_strong_light() {
-        let told = light_at_the_last(20.0, 1.0);
+        let [told, _] = light_at_the_last(20.0, 1.0, 1.0, 0.0);
         assert!((18.0..22.0).contains(&told), "{told}");
-        let poor = light_at_the_last(1e5, 1e-6);
+        let [poor, _] = light_at_the_last(1e5, 1e-6, 1.0, 0.0);
         assert!(poor < 1e3, "{poor}");
+    }
+
+    #[test]
+    fn what_next_to_no_light_arrives_of_does_not_blind() {
+        // A thousandth of what it radiates arrives, and makes one sample twice as bright.
+        let [_, blinding] = light_at_the_last(2.0, 1e-4, 1e-3, 0.0);
+        let [_, held] = light_at_the_last(2.0, 1e-4, 1e-3, 1.0);
+        assert!(blinding > 500.0 && held < 300.0, "{blinding} {held}");
     }
 }

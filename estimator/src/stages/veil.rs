@@ -1,8 +1,10 @@
 //! The share of veiling glare, by how well light and albedo explain what is left.
 
 use crate::association::veil::without as without_veil;
+use crate::association::veil_removal::VeilOfAll;
 use crate::factorisation::held_out::{BlockError, mean};
-use crate::factorisation::{FactorisationOptions, Factorised, Observed, factorise, held_out, robust_solver};
+use crate::factorisation::{Colors, FactorisationOptions, Factorised, Observed, factorise, held_out, robust_solver};
+use crate::numerics::robust::weighted_median;
 use crate::stages::prepare::Prepared;
 use firmware_config::tuning::FactorisationTuning;
 use firmware_config::{EstimatorConfig, SolverChoice};
@@ -34,14 +36,55 @@ pub fn remove_veil(
     if options.solver != SolverChoice::Robust || !config.tuning.factorisation.veil {
         return found;
     }
+    let tuning = FactorisationTuning { samples: SAMPLES, ..config.tuning.factorisation.clone() };
+    let (veil, share) = chosen(prepared, |lit_color| {
+        let observed = Observed { lit_color, ..prepared.colors().under(&found.transfer) };
+        let solution = robust_solver::solve(&observed, options.bands.min(BANDS), Some(&found.solution), &tuning);
+        let irradiance = found.transfer.irradiance(&solution.light);
+        errors(&prepared.colors(), lit_color, &solution.albedo, &irradiance)
+    });
+    prepared.decisions.push(share.decision(&veil));
+    let share = share.chosen;
+    if share == 0.0 {
+        return found;
+    }
+    prepared.fields.take_veil(&veil, share);
+    factorise(Arc::clone(&found.transfer.traced), &prepared.colors(), options, Some(found.start()))
+}
+
+/// Veiling glare, and the share of it without which light that is not distant explains the colours better: `irradiance` over π,
+/// `[vertex]`. It stays as it is: how far it is off is told by what is bright, glare by what is dark.
+pub(super) fn near_veil(prepared: &Prepared, irradiance: &[Vec3]) -> (VeilOfAll, Share) {
+    let weights = prepared.fields.lit_weight.iter().zip(&prepared.fields.clipped);
+    let lit_weight: Vec<f32> = weights.map(|(w, clipped)| if *clipped { 0.0 } else { *w }).collect();
+    chosen(prepared, |lit_color| {
+        let colors = Colors { lit_weight: &lit_weight, ..prepared.colors() };
+        errors(&colors, lit_color, &median_albedo(&colors, lit_color, irradiance), irradiance)
+    })
+}
+
+/// A share of the veil, and the held-out errors that it was chosen by.
+pub(super) struct Share {
+    /// The share; 0 if it is hardly better than none.
+    pub chosen: f64,
+    held_out: Vec<(f64, f64)>,
+}
+
+impl Share {
+    /// As evidence.
+    pub fn decision(&self, veil: &VeilOfAll) -> Decision {
+        Decision::Veil { share: self.chosen, most: veil.most, held_out: self.held_out.clone() }
+    }
+}
+
+/// The veil, and the share of it without which colours are explained best; 0 if that is hardly better. `errors` are those of held-out
+/// vertices without a share, from lit colours `[vertex]`.
+fn chosen(prepared: &Prepared, errors: impl Fn(&[Vec3]) -> Vec<BlockError> + Sync) -> (VeilOfAll, Share) {
     let veil = prepared.fields.veil(&prepared.mesh);
     let most = veil.most.min(MOST);
-    let tuning = FactorisationTuning { samples: SAMPLES, ..config.tuning.factorisation.clone() };
     let trial = |share: f64| {
-        let lit: Vec<Vec3> = (prepared.fields.lit_color.iter().zip(&veil.of_vertex))
-            .map(|(f, v)| without_veil(*f, *v * share as f32))
-            .collect();
-        errors(prepared, &found, &lit, options.bands.min(BANDS), &tuning)
+        let vertices = prepared.fields.lit_color.iter().zip(&veil.of_vertex);
+        errors(&vertices.map(|(f, v)| without_veil(*f, *v * share as f32)).collect::<Vec<Vec3>>())
     };
     // Side by side: the three channels of one trial leave one of two threads without work.
     let shares: Vec<f64> = std::iter::once(0.0).chain(STEPS.map(|s| s * most)).collect();
@@ -52,36 +95,35 @@ pub fn remove_veil(
         let gain = held_out::gain(blocks, &without);
         gain.mean > gain.error && mean(blocks) < (1.0 - LEAST_GAIN) * mean(&without)
     });
-    let share = chosen.map_or(0.0, |c| c.0);
+    let chosen = chosen.map_or(0.0, |c| c.0);
     let held_out = std::iter::once((0.0, mean(&without))).chain(tried.iter().map(|t| (t.0, mean(&t.1)))).collect();
-    prepared.decisions.push(Decision::Veil { share, most: veil.most, held_out });
-    if share == 0.0 {
-        return found;
+    (veil, Share { chosen, held_out })
+}
+
+/// Weighted median of lit colour over irradiance, of every segment's vertices that are not held out.
+fn median_albedo(colors: &Colors, lit_color: &[Vec3], irradiance: &[Vec3]) -> Vec<[f64; 3]> {
+    let mut ratios: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); colors.segments];
+    for (i, (f, e)) in lit_color.iter().zip(irradiance).enumerate() {
+        let weight = f64::from(colors.lit_weight[i]);
+        if held_out::block(i as u32).is_none() && weight > 0.0 && f.is_finite() && e.min_element() > 0.0 {
+            let ratio = (*f / *e).to_array();
+            let of = &mut ratios[colors.segment[i] as usize];
+            of.iter_mut().zip(ratio).for_each(|(all, r)| all.push((f64::from(r), weight)));
+        }
     }
-    prepared.fields.take_veil(&veil, share);
-    factorise(Arc::clone(&found.transfer.traced), &prepared.colors(), options, Some(found.start()))
+    ratios.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
 }
 
 /// Errors of albedo × light against lit colours without veil, relative to those with it, by held-out blocks: what is taken away
 /// must not make the rest look better explained.
-fn errors(
-    prepared: &Prepared,
-    found: &Factorised,
-    lit_color: &[Vec3],
-    bands: usize,
-    tuning: &FactorisationTuning,
-) -> Vec<BlockError> {
-    let colors = prepared.colors();
-    let observed = Observed { lit_color, ..colors.under(&found.transfer) };
-    let solution = robust_solver::solve(&observed, bands, Some(&found.solution), tuning);
-    let irradiance = found.transfer.irradiance(&solution.light);
+fn errors(colors: &Colors, lit_color: &[Vec3], albedo: &[[f64; 3]], irradiance: &[Vec3]) -> Vec<BlockError> {
     let error = |i: usize| {
         let block = held_out::block(i as u32)?;
         let with = colors.lit_color[i];
         if colors.lit_weight[i] <= 0.0 || !with.is_finite() || with.min_element() <= 0.0 {
             return None;
         }
-        let albedo = Vec3::from_array(solution.albedo[colors.segment[i] as usize].map(|a| a as f32));
+        let albedo = Vec3::from_array(albedo[colors.segment[i] as usize].map(|a| a as f32));
         let off = (lit_color[i] - albedo * irradiance[i]).abs() / with;
         Some((block, f64::from(off.min(Vec3::splat(CAPPED)).element_sum() / 3.0)))
     };
