@@ -364,10 +364,15 @@ impl<'a> Plan<'a> {
         self.worked(workload.light(&size, blocked) - cost_model::rays(size.vertices, workload.rays));
     }
 
-    /// True if a search for lamps and emitting surfaces fits.
-    pub fn local_light(&mut self) -> bool {
+    /// True if a search for lamps and emitting surfaces fits once more.
+    pub fn fits_local_light(&self) -> bool {
         let size = self.workload.size(&self.size);
-        let fits = cost_model::local_light(&size) + cost_model::output(&size) <= self.left();
+        cost_model::local_light(&size) + cost_model::output(&size) <= self.left()
+    }
+
+    /// True if a search for lamps and emitting surfaces fits; a cut where it does not.
+    pub fn local_light(&mut self) -> bool {
+        let fits = self.fits_local_light();
         if !fits {
             self.fixed.push(Cut::LocalLight);
         }

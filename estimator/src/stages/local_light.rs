@@ -48,8 +48,9 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
         }
     }
     // Glare of the lens, and all of it again without.
-    let may_have_veil = run.config.tuning.factorisation.veil && !is_unexplained(&chosen);
-    if let Some(near) = chosen.near.as_ref().filter(|_| may_have_veil) {
+    let looks_for_veil =
+        run.config.tuning.factorisation.veil && run.plan.fits_local_light() && !is_unexplained(&chosen);
+    if let Some(near) = chosen.near.as_ref().filter(|_| looks_for_veil) {
         let (veil, mut share) = near_veil(prepared, &near.irradiance);
         if share.chosen > 0.0 {
             prepared.fields.take_veil(&veil, share.chosen);
