@@ -2,7 +2,7 @@
 //! and patches that no picture shows.
 
 use crate::light_model::samples::bounds;
-use crate::light_model::visibility::visible_share;
+use crate::light_model::visibility::{sees, visible_share};
 use crate::mesh::graph::Graph;
 use crate::numerics::random::{hash, unit};
 use crate::rays::RayScene;
@@ -158,8 +158,6 @@ fn vertex_areas(mesh: &Mesh) -> Vec<f32> {
 /// too far apart for that. Noise of F counts as error of a model that is right: it must stay well below that of lit colours.
 #[must_use]
 pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piece, vertices: &[u32]) -> Vec<f32> {
-    let mut emits = vec![false; mesh.positions.len()];
-    piece.vertices.iter().for_each(|&i| emits[i as usize] = true);
     let points = piece.points(mesh, scene);
     let factor = |brings: &mut Vec<f32>, &vertex: &u32| {
         let (position, normal) = (mesh.positions[vertex as usize], mesh.normals[vertex as usize]);
@@ -176,16 +174,14 @@ pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piec
             return 0.0;
         }
         if most > COARSE && traced.hit_rays() > 0 {
-            let hits = traced.hits(vertex as usize).iter().filter(|h| emits[**h as usize]).count();
+            let hits = traced.hits(vertex as usize).iter().filter(|h| piece.vertices.binary_search(h).is_ok()).count();
             return hits as f32 / traced.hit_rays() as f32;
         }
         let shift = unit(hash(vertex, 0xe317));
         let visible = visible_share(|ray, of| {
             let drawn = total * (ray as f32 + shift) / of as f32;
             let point = &points[brings.partition_point(|b| *b <= drawn).min(points.len() - 1)];
-            let to = point.position - origin;
-            let distance = to.length();
-            !scene.occluded_within(origin, to / distance, distance)
+            sees(scene, origin, point.position)
         });
         (total * visible).min(1.0)
     };
@@ -195,22 +191,8 @@ pub fn form_factors(mesh: &Mesh, scene: &RayScene, traced: &Traced, piece: &Piec
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light_model::tests::square;
     use crate::transfer::unoccluded;
-
-    /// Appends a rectangle about `center` of `n` × `n` cells that faces down.
-    fn rectangle(mesh: &mut Mesh, center: Vec3, [x, y]: [f32; 2], n: u32) -> Vec<u32> {
-        let first = mesh.positions.len() as u32;
-        for k in 0..(n + 1) * (n + 1) {
-            let at = |k: u32| k as f32 / n as f32 - 0.5;
-            mesh.positions.push(center + Vec3::new(at(k / (n + 1)) * x, at(k % (n + 1)) * y, 0.0));
-            mesh.normals.push(Vec3::NEG_Z);
-            if k / (n + 1) < n && k % (n + 1) < n {
-                let a = first + k;
-                mesh.triangles.extend([[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]);
-            }
-        }
-        (first..mesh.positions.len() as u32).collect()
-    }
 
     #[test]
     fn a_lamp_that_a_screen_hides_in_part_brings_the_part_that_is_seen() {
@@ -218,9 +200,15 @@ mod tests {
         let receivers: Vec<f32> = (0..9).map(|k| 0.04 * (k as f32 - 4.0)).collect();
         mesh.positions.extend(receivers.iter().map(|x| Vec3::new(*x, 0.0, 0.0)));
         mesh.normals.resize(receivers.len(), Vec3::Z);
-        let lamp = rectangle(&mut mesh, Vec3::Z, [0.4, 0.4], 60);
+        // Both face down.
+        let mut add = |corner: Vec3, edge: f32, cells: u32| {
+            let first = mesh.positions.len() as u32;
+            square(&mut mesh, &mut Vec::new(), 0, [corner, Vec3::X * edge, Vec3::NEG_Y * edge], cells);
+            (first..mesh.positions.len() as u32).collect()
+        };
+        let lamp = add(Vec3::new(-0.2, 0.2, 1.0), 0.4, 60);
         // Hides what lies below x = 0, half way up.
-        rectangle(&mut mesh, Vec3::new(-1.0, 0.0, 0.5), [2.0, 2.0], 1);
+        let _screen: Vec<u32> = add(Vec3::new(-2.0, 1.0, 0.5), 2.0, 1);
         let piece = Piece::new(lamp, &vertex_areas(&mesh));
         let of: Vec<u32> = (0..receivers.len() as u32).collect();
         let found = form_factors(&mesh, &RayScene::new(&mesh), &unoccluded(&mesh, 1), &piece, &of);

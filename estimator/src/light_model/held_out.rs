@@ -1,7 +1,7 @@
 //! How well an irradiance explains the lit colours of surface that was held out.
 
 use crate::light_model::samples::{DARK_FLOOR, Samples};
-use crate::numerics::robust::weighted_median;
+use crate::numerics::robust::segment_medians;
 use std::collections::BTreeMap;
 
 /// A richer model must lower the held-out error by this share, and by more than one standard error.
@@ -46,15 +46,13 @@ pub fn errors(samples: &Samples, irradiance: impl Fn(usize) -> [f64; 3]) -> Bloc
 
 /// Weighted median of f / E over the samples of each segment that are not held out.
 pub fn segment_albedo(samples: &Samples, irradiance: &impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
-    let mut ratios: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); samples.segments];
-    for n in (0..samples.len()).filter(|n| samples.held_out[*n].is_none()) {
+    let ratio = |n: usize| {
         let e = irradiance(n);
-        for c in 0..3 {
-            let ratio = samples.color[n][c] / e[c].max(1e-30);
-            ratios[samples.segment[n] as usize][c].push((ratio, samples.weight[n]));
-        }
-    }
-    ratios.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
+        let ratio = [0, 1, 2].map(|c| samples.color[n][c] / e[c].max(1e-30));
+        (samples.segment[n], ratio, samples.weight[n])
+    };
+    let fitted = (0..samples.len()).filter(|n| samples.held_out[*n].is_none());
+    segment_medians(samples.segments, fitted.map(ratio))
 }
 
 /// |f − a E| relative to f, but not below a share of the segment's median; mean over the channels, capped.

@@ -1,6 +1,6 @@
 //! Lamps beside the scene (N2): spheres of radiance L, radius r and centre c; their power is P = L r².
 
-use crate::light_model::visibility::visible_share;
+use crate::light_model::visibility::{sees, visible_share};
 use crate::numerics::random::{hash, unit};
 use crate::rays::RayScene;
 use glam::Vec3;
@@ -30,21 +30,16 @@ pub fn form_factor(mesh: &Mesh, scene: &RayScene, vertex: usize, sphere: &Sphere
         return 0.0;
     }
     let origin = scene.offset_origin(position, normal);
-    let is_free = |point: Vec3| {
-        let to = point - origin;
-        let distance = to.length();
-        !scene.occluded_within(origin, to / distance, distance)
-    };
     let visible = if sphere.radius > 0.0 {
         let (x, y) = direction.any_orthonormal_pair();
         let turn = std::f32::consts::TAU * unit(hash(vertex as u32, 0x1a3b));
         visible_share(|ray, of| {
             let radius = sphere.radius * ((ray as f32 + 0.5) / of as f32).sqrt();
             let (sin, cos) = libm::sincosf(GOLDEN_ANGLE * ray as f32 + turn);
-            is_free(sphere.center + (x * cos + y * sin) * radius)
+            sees(scene, origin, sphere.center + (x * cos + y * sin) * radius)
         })
     } else {
-        f32::from(is_free(sphere.center))
+        f32::from(sees(scene, origin, sphere.center))
     };
     cosine * visible / toward.length_squared().max(sphere.radius * sphere.radius)
 }

@@ -19,7 +19,7 @@ const ALBEDO: [Vec3; 4] =
     [Vec3::new(0.5, 0.35, 0.2), Vec3::new(0.7, 0.7, 0.65), Vec3::new(0.6, 0.2, 0.2), Vec3::new(0.2, 0.4, 0.6)];
 
 /// A square of `n` × `n` cells with its normal along `x` × `y`; its segment is appended for every vertex.
-fn square(mesh: &mut Mesh, segment: &mut Vec<u32>, of: u32, [origin, x, y]: [Vec3; 3], n: u32) {
+pub(super) fn square(mesh: &mut Mesh, segment: &mut Vec<u32>, of: u32, [origin, x, y]: [Vec3; 3], n: u32) {
     let first = mesh.positions.len() as u32;
     for i in 0..=n {
         for j in 0..=n {

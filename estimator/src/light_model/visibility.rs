@@ -1,8 +1,18 @@
 //! How much of a source a vertex sees.
 
+use crate::rays::RayScene;
+use glam::Vec3;
+
 /// Rays to a source, and where it is seen in part.
 const RAYS: u32 = 16;
 const PENUMBRA_RAYS: u32 = 64;
+
+/// True if nothing is between two points.
+pub fn sees(scene: &RayScene, from: Vec3, point: Vec3) -> bool {
+    let to = point - from;
+    let distance = to.length();
+    !scene.occluded_within(from, to / distance, distance)
+}
 
 /// Share of the rays to a source that are free, by `is_free(ray, rays)`, ray `ray` of `rays`. Where a source is seen in part, few
 /// rays make more noise than there is in lit colours, and a source that is right is held for wrong.

@@ -27,6 +27,16 @@ pub fn robust_sigma(deviations: impl IntoIterator<Item = f64>) -> f64 {
     SIGMA_PER_MAD * median(deviations).unwrap_or(0.0)
 }
 
+/// Weighted median per segment and channel of (segment, values, weight); 0 where a segment has no values.
+pub fn segment_medians(segments: usize, values: impl Iterator<Item = (u32, [f64; 3], f64)>) -> Vec<[f64; 3]> {
+    let mut of_segment: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); segments];
+    for (segment, value, weight) in values {
+        let channels = &mut of_segment[segment as usize];
+        channels.iter_mut().zip(value).for_each(|(all, v)| all.push((v, weight)));
+    }
+    of_segment.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
+}
+
 /// The weighted median of (value, weight) pairs, which are sorted in place: the value at which the sum of weights passes
 /// half of their total; the mean of two neighbours where it meets half exactly. `None` where there are no values.
 pub fn weighted_median(values: &mut [(f64, f64)]) -> Option<f64> {

@@ -2,7 +2,7 @@
 
 use crate::association::seen_lamps::SeenLamp;
 use crate::factorisation::{Colors, Factorised};
-use crate::light_model::choose::{self, Chosen};
+use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::covered::covered;
 use crate::light_model::lamps::Sphere;
 use crate::stages::prepare::Prepared;
@@ -31,38 +31,33 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
     };
     let is_unexplained = |c: &Chosen| c.near.as_ref().is_some_and(|n| n.light.model == LightModel::Unexplained);
     let mut chosen = choose(prepared, &prepared.fields.lit_weight, false, run);
-    let seen = |prepared: &Prepared, covered: Option<&[bool]>| -> Vec<f32> {
-        let is_covered = |i: usize| covered.is_some_and(|c| c[i]);
-        let weights = prepared.fields.lit_weight.iter().enumerate();
-        weights.map(|(i, w)| if is_covered(i) { 0.0 } else { *w }).collect()
-    };
-    let mut hidden: Option<Vec<bool>> = None;
+    // Of the vertices; empty unless what another sheet covers counts as unseen.
+    let mut hidden: Vec<bool> = Vec::new();
     if is_unexplained(&chosen) {
         let covered = covered(&prepared.mesh, &prepared.scene);
-        let uncovered = seen(prepared, Some(&covered));
+        let mut uncovered = prepared.fields.lit_weight.clone();
+        hide(&mut uncovered, &covered);
         let again = choose(prepared, &uncovered, true, run);
-        if again.near.is_some() && !is_unexplained(&again) {
-            chosen = again;
-            prepared.fields.lit_weight = uncovered;
-            hidden = Some(covered);
+        if explained(&again).is_some() {
+            (chosen, prepared.fields.lit_weight, hidden) = (again, uncovered, covered);
         }
     }
     // Glare of the lens, and all of it again without.
-    let looks_for_veil =
-        run.config.tuning.factorisation.veil && run.plan.fits_local_light() && !is_unexplained(&chosen);
-    if let Some(near) = chosen.near.as_ref().filter(|_| looks_for_veil) {
+    let looks_for_veil = run.config.tuning.factorisation.veil && run.plan.fits_local_light();
+    if let Some(near) = explained(&chosen).filter(|_| looks_for_veil) {
         let (veil, mut share) = near_veil(prepared, &near.irradiance);
         if share.chosen > 0.0 {
             prepared.fields.take_veil(&veil, share.chosen);
-            let again = choose(prepared, &seen(prepared, hidden.as_deref()), hidden.is_some(), run);
-            if again.near.is_some() && !is_unexplained(&again) {
+            hide(&mut prepared.fields.lit_weight, &hidden);
+            let again = choose(prepared, &prepared.fields.lit_weight, !hidden.is_empty(), run);
+            if explained(&again).is_some() {
                 chosen = again;
             } else {
                 // A near model that holds only with the glare left in tells nothing of it.
                 prepared.fields.take_veil(&veil, -share.chosen);
+                hide(&mut prepared.fields.lit_weight, &hidden);
                 (prepared.fields.veil_share, share.chosen) = (0.0, 0.0);
             }
-            prepared.fields.lit_weight = seen(prepared, hidden.as_deref());
         }
         prepared.decisions.push(share.decision(&veil));
     }
@@ -72,4 +67,14 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
     (found.solution, found.detail, found.irradiance) = (near.solution, near.detail, near.irradiance);
     prepared.decisions.push(near.scale);
     near.light
+}
+
+/// The near model that explains the colours, if one does.
+fn explained(chosen: &Chosen) -> Option<&Near> {
+    chosen.near.as_ref().filter(|n| n.light.model != LightModel::Unexplained)
+}
+
+/// Takes its weight from every vertex that is `covered`.
+fn hide(weights: &mut [f32], covered: &[bool]) {
+    weights.iter_mut().zip(covered).filter(|(_, covered)| **covered).for_each(|(weight, _)| *weight = 0.0);
 }

@@ -4,7 +4,7 @@ use crate::association::veil::without as without_veil;
 use crate::association::veil_removal::VeilOfAll;
 use crate::factorisation::held_out::{BlockError, mean};
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, Observed, factorise, held_out, robust_solver};
-use crate::numerics::robust::weighted_median;
+use crate::numerics::robust::segment_medians;
 use crate::stages::prepare::Prepared;
 use firmware_config::tuning::FactorisationTuning;
 use firmware_config::{EstimatorConfig, SolverChoice};
@@ -102,16 +102,12 @@ fn chosen(prepared: &Prepared, errors: impl Fn(&[Vec3]) -> Vec<BlockError> + Syn
 
 /// Weighted median of lit colour over irradiance, of every segment's vertices that are not held out.
 fn median_albedo(colors: &Colors, lit_color: &[Vec3], irradiance: &[Vec3]) -> Vec<[f64; 3]> {
-    let mut ratios: Vec<[Vec<(f64, f64)>; 3]> = vec![Default::default(); colors.segments];
-    for (i, (f, e)) in lit_color.iter().zip(irradiance).enumerate() {
-        let weight = f64::from(colors.lit_weight[i]);
-        if held_out::block(i as u32).is_none() && weight > 0.0 && f.is_finite() && e.min_element() > 0.0 {
-            let ratio = (*f / *e).to_array();
-            let of = &mut ratios[colors.segment[i] as usize];
-            of.iter_mut().zip(ratio).for_each(|(all, r)| all.push((f64::from(r), weight)));
-        }
-    }
-    ratios.into_iter().map(|mut of| [0, 1, 2].map(|c| weighted_median(&mut of[c]).unwrap_or(0.0))).collect()
+    let ratio = |i: usize| {
+        let (f, e, weight) = (lit_color[i], irradiance[i], colors.lit_weight[i]);
+        let counts = held_out::block(i as u32).is_none() && weight > 0.0 && f.is_finite() && e.min_element() > 0.0;
+        counts.then(|| (colors.segment[i], (f / e).to_array().map(f64::from), f64::from(weight)))
+    };
+    segment_medians(colors.segments, (0..lit_color.len()).filter_map(ratio))
 }
 
 /// Errors of albedo × light against lit colours without veil, relative to those with it, by held-out blocks: what is taken away
