@@ -6,6 +6,7 @@ use crate::tracking::photometric::{Brightness, Comparison, photometric};
 use crate::tracking::problem::AlignmentProblem;
 use crate::tracking::schedule::{Geometry, Stage};
 use crate::tracking::solve::solve;
+use crate::tracking::tilt::{normal_variance, of_tilted_normals};
 use firmware_config::tuning::TrackingTuning;
 use nalgebra::Matrix6;
 use recordings::types::Pose;
@@ -28,9 +29,9 @@ pub struct Alignment {
     pub photo_error: f32,
     /// Share of the photometric points in the image.
     pub photo_seen: f32,
-    /// Smallest over largest eigenvalue of the geometric system.
+    /// Smallest over largest eigenvalue of the geometric system, less what noise of the normals adds.
     pub condition: f64,
-    /// Projector to the twists that the geometry observes.
+    /// Projector to the twists that the geometry observes, each with the share that is not noise of the normals.
     pub observed: Matrix6<f64>,
     pub brightness: Brightness,
     /// Scale of the photometric residuals, grey values.
@@ -50,6 +51,8 @@ impl Alignment {
 pub struct Aligner {
     /// Associations of the last alignment.
     pub associations: Vec<Association>,
+    /// Of the last frame-to-frame association.
+    tilts: Vec<f32>,
 }
 
 impl Aligner {
@@ -85,16 +88,25 @@ impl Aligner {
             let points = &reference.photo[stage.level];
             for _ in 0..stage.rounds {
                 let tested = match stage.geometry {
-                    Geometry::Reference => associate_reference(problem, &pose, &mut self.associations),
+                    Geometry::Reference => associate_reference(problem, &pose, &mut self.associations, &mut self.tilts),
                     Geometry::Volume { stride } => associate_volume(problem, &pose, stride, &mut self.associations),
                 };
+                let mut of_normals = None;
                 for _ in 0..2 {
                     let camera_from_reference = pose.inverse().compose(&reference.world_from_camera);
                     let comparison = Comparison { frame, rig, level: stage.level, points, brightness, sigma };
                     let photo = photometric(&comparison, &camera_from_reference, |j, _| j);
                     let geo = geometric(&self.associations, &pose, stage.cut, &rig.noise, |j, _| j);
                     let to_prediction = log(&pose.inverse().compose(predicted));
-                    let step = solve(&geo, &photo, &to_prediction, f64::from(frame.median_depth), config);
+                    // Hardly changes from one iteration to the next. Normals of the volume are means over many frames.
+                    let of_normals = of_normals.get_or_insert_with(|| match stage.geometry {
+                        Geometry::Reference => {
+                            of_tilted_normals(&self.associations, &pose, stage.cut, &rig.noise, &geo)
+                                * normal_variance(&mut self.tilts)
+                        }
+                        Geometry::Volume { .. } => Matrix6::zeros(),
+                    });
+                    let step = solve(&geo, of_normals, &photo, &to_prediction, f64::from(frame.median_depth), config);
                     pose = pose.compose(&exp(&step.delta));
                     brightness.gain = (brightness.gain + step.gain).clamp(GAIN.0, GAIN.1);
                     brightness.offset = (brightness.offset + step.offset).clamp(-MAX_OFFSET, MAX_OFFSET);

@@ -13,10 +13,32 @@ use recordings::types::Pose;
 #[derive(Debug, Clone, Copy)]
 pub struct Association {
     /// Point, camera axes, metres.
-    p: Vec3,
+    pub p: Vec3,
     /// Plane n · x = d in the world, n towards free space.
-    n: Vec3,
-    d: f32,
+    pub n: Vec3,
+    pub d: f32,
+}
+
+/// How far a point is from its plane.
+pub struct Residual {
+    /// Distance, metres.
+    pub r: f32,
+    /// Standard deviation of the depth noise, metres.
+    pub sigma: f32,
+    /// Tukey's weight over the variance; 0 from `cut` standard deviations on.
+    pub weight: f32,
+}
+
+/// The residuals at a pose.
+pub fn residual(world_from_camera: &Pose, cut: f32, noise: &DepthNoise) -> impl Fn(&Association) -> Residual {
+    let t = Rigid::from(world_from_camera);
+    move |a| {
+        let r = a.n.dot(t.apply(a.p)) - a.d;
+        let sigma = noise.sigma_m(a.p.z);
+        let scaled = r / (cut * sigma);
+        let taper = (1.0 - scaled * scaled).max(0.0);
+        Residual { r, sigma, weight: taper * taper / (sigma * sigma) }
+    }
 }
 
 /// Normal equations of r = n · (T p) − d, with Tukey's weights that vanish at `cut` standard deviations of the depth noise.
@@ -28,22 +50,19 @@ pub fn geometric<const N: usize>(
     noise: &DepthNoise,
     columns: impl Fn([f32; 6], Vec3) -> [f32; N] + Sync,
 ) -> System {
-    let t = Rigid::from(world_from_camera);
-    let back = t.r.transpose();
+    let back = Rigid::from(world_from_camera).r.transpose();
+    let residual = residual(world_from_camera, cut, noise);
     sum_chunks(associations, |associations| {
         let mut system = System::ZERO;
         for a in associations {
-            let r = a.n.dot(t.apply(a.p)) - a.d;
-            let sigma = noise.sigma_m(a.p.z);
-            let scaled = r / (cut * sigma);
-            let taper = 1.0 - scaled * scaled;
+            let Residual { r, sigma, weight } = residual(a);
             system.count += 1;
-            if taper <= 0.0 {
+            if weight <= 0.0 {
                 continue;
             }
             let m = back * a.n;
             let c = a.p.cross(m);
-            system.add(&columns([m.x, m.y, m.z, c.x, c.y, c.z], a.p), r, taper * taper / (sigma * sigma));
+            system.add(&columns([m.x, m.y, m.z, c.x, c.y, c.z], a.p), r, weight);
             system.inliers += usize::from(r.abs() < 3.0 * sigma);
             system.absolute += f64::from(r.abs());
         }
@@ -51,13 +70,19 @@ pub fn geometric<const N: usize>(
     })
 }
 
-/// Frame to frame: projective association with the reference's grid (KinectFusion). Fills `out`; returns the number of
-/// points of the frame that were tested.
-pub fn associate_reference(problem: &AlignmentProblem, pose: &Pose, out: &mut Vec<Association>) -> usize {
+/// Frame to frame: projective association with the reference's grid (KinectFusion). Fills `out`, and `tilts` with the squared
+/// sines of the angles between the normals of frame and reference; returns the number of points of the frame that were tested.
+pub fn associate_reference(
+    problem: &AlignmentProblem,
+    pose: &Pose,
+    out: &mut Vec<Association>,
+    tilts: &mut Vec<f32>,
+) -> usize {
     let AlignmentProblem { frame, rig, reference, config, .. } = *problem;
     let tuning = &config.tuning.tracking;
     let (max_share, min_cos) = (tuning.frame_distance_share as f32, tuning.frame_normal_cos as f32);
     out.clear();
+    tilts.clear();
     let mut tested = 0;
     let world_from_reference = Rigid::from(&reference.world_from_camera);
     let reference_from_camera = Rigid::from(&reference.world_from_camera.inverse().compose(pose));
@@ -76,11 +101,13 @@ pub fn associate_reference(problem: &AlignmentProblem, pose: &Pose, out: &mut Ve
             let Some(m) = reference.coarse.get(v * columns + u).filter(|m| m.is_valid()) else { continue };
             let distance2 = (m.p - p).length_squared();
             let max_distance = max_share * p.z;
-            if distance2 > max_distance * max_distance || (reference_from_camera.r * s.n).dot(m.n) < min_cos {
+            let cos = (reference_from_camera.r * s.n).dot(m.n);
+            if distance2 > max_distance * max_distance || cos < min_cos {
                 continue;
             }
             let n = world_from_reference.r * m.n;
             out.push(Association { p: s.p, n, d: n.dot(world_from_reference.apply(m.p)) });
+            tilts.push(1.0 - cos * cos);
         }
     }
     tested

@@ -22,5 +22,6 @@ mod relocalise;
 mod rotate;
 mod schedule;
 mod solve;
+mod tilt;
 mod timing;
 mod timing_system;

@@ -31,7 +31,7 @@ pub fn eliminate_brightness<const N: usize>(photo: &System, kept: &[usize; N], w
 
 /// A Gauss–Newton step.
 pub struct Step {
-    /// Projector to the twists that the geometry observes.
+    /// Projector to the twists that the geometry observes, each with the share that is not noise of the normals.
     pub observed: Matrix6<f64>,
     /// Twist: translation in metres, rotation in radians.
     pub delta: Vector6<f64>,
@@ -39,14 +39,22 @@ pub struct Step {
     pub gain: f32,
     /// Change of the brightness offset.
     pub offset: f32,
-    /// Smallest over largest eigenvalue of the geometric system.
+    /// Smallest over largest eigenvalue of the geometric system, less what noise of the normals adds.
     pub condition: f64,
 }
 
 /// Solves for the step. `to_prediction` is the twist from the current pose to the predicted one, `depth` the median depth in
-/// metres. A direction whose geometric eigenvalue is below `fusion.unobserved_below` of the largest is not observed (noise of
-/// the normals alone gives such a value): its geometric measurements are dropped, and texture and the motion prior decide.
-pub fn solve(geo: &System, photo: &System, to_prediction: &Vector6<f64>, depth: f64, config: &FusionConfig) -> Step {
+/// metres. Of every direction's geometric measurements counts the share that noise of the normals, which adds `tilted`, does not
+/// explain. A direction whose eigenvalue is below `fusion.unobserved_below` of the largest is not observed: texture and the motion
+/// prior decide.
+pub fn solve(
+    geo: &System,
+    tilted: &Matrix6<f64>,
+    photo: &System,
+    to_prediction: &Vector6<f64>,
+    depth: f64,
+    config: &FusionConfig,
+) -> Step {
     // Rotations are scaled to the motion of a point at the median depth.
     let lever = depth.max(0.1);
     let scale = Vector6::new(1.0, 1.0, 1.0, 1.0 / lever, 1.0 / lever, 1.0 / lever);
@@ -54,15 +62,20 @@ pub fn solve(geo: &System, photo: &System, to_prediction: &Vector6<f64>, depth: 
     let eigen = Matrix6::from_fn(|a, c| geo.symmetric(a, c) * scale[a] * scale[c]).symmetric_eigen();
     let largest = eigen.eigenvalues.max().max(1e-9);
     let rhs = Vector6::from_fn(|a, _| geo.b[a] * scale[a]);
+    let tilted = Matrix6::from_fn(|a, c| tilted[(a, c)] * scale[a] * scale[c]);
     let mut h = Matrix6::zeros();
     let mut b = Vector6::zeros();
     let mut observed = Matrix6::zeros();
+    let mut smallest = largest;
     for i in 0..6 {
         let axis = eigen.eigenvectors.column(i).into_owned();
-        if eigen.eigenvalues[i] > config.unobserved_below * largest {
-            h += axis * axis.transpose() * eigen.eigenvalues[i];
-            b += axis * axis.dot(&rhs);
-            observed += axis * axis.transpose();
+        let all = eigen.eigenvalues[i];
+        let genuine = (all - axis.dot(&(tilted * axis))).max(0.0);
+        smallest = smallest.min(genuine);
+        if genuine > config.unobserved_below * largest {
+            h += axis * axis.transpose() * genuine;
+            b += axis * (genuine / all * axis.dot(&rhs));
+            observed += axis * axis.transpose() * (genuine / all);
         }
     }
 
@@ -86,6 +99,6 @@ pub fn solve(geo: &System, photo: &System, to_prediction: &Vector6<f64>, depth: 
         delta,
         gain: brightness[0] as f32,
         offset: brightness[1] as f32,
-        condition: eigen.eigenvalues.min() / largest,
+        condition: smallest / largest,
     }
 }
