@@ -33,6 +33,7 @@ type Fallible<T> = Result<T, Box<dyn Error>>;
 struct Found {
     mesh: Mesh,
     albedo: Vec<Vec3>,
+    lit_color: Vec<Vec3>,
     emission: Option<Vec<Vec3>>,
     segment: Vec<u32>,
     /// w_s by segment.
@@ -48,9 +49,10 @@ struct Found {
 impl Found {
     fn read(folder: &Path) -> Fallible<Self> {
         const ALBEDO: [&str; 3] = ["albedo_r", "albedo_g", "albedo_b"];
+        const LIT: [&str; 3] = ["lit_r", "lit_g", "lit_b"];
         const EMISSION: [&str; 3] = ["emission_r", "emission_g", "emission_b"];
         let bytes = std::fs::read(folder.join("vertices.ply"))?;
-        let (mesh, columns) = parse_ply(&bytes, &[&ALBEDO[..], &EMISSION, &["segment"]].concat())?;
+        let (mesh, columns) = parse_ply(&bytes, &[&ALBEDO[..], &LIT, &EMISSION, &["segment"]].concat())?;
         let column = |name: &str| columns.iter().find(|c| c.name == name).map(|c| &c.values);
         let vectors = |names: [&str; 3]| {
             let [x, y, z] = names.map(column);
@@ -78,6 +80,7 @@ impl Found {
         Ok(Self {
             mesh,
             albedo: vectors(ALBEDO).ok_or_else(|| missing("albedo"))?,
+            lit_color: vectors(LIT).ok_or_else(|| missing("lit colours"))?,
             emission: vectors(EMISSION),
             segment: column("segment").ok_or_else(|| missing("segment"))?.iter().map(|s| *s as u32).collect(),
             gloss: rows(&materials["segments"]).iter().map(|s| (number(&s["id"]) as u32, number(&s["w_s"]))).collect(),
@@ -230,27 +233,35 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
     let factor: Vec<f64> =
         true_albedo.iter().zip(&own_albedo).map(|(a, b)| f64::from(luminance(*b) / luminance(*a).max(1e-3))).collect();
     put("albedo_luminance_factor", median(&factor));
-    put("naive_albedo_median", truth.reference["naive_albedo"]["median"].as_f64().unwrap_or(f64::NAN));
-    put("naive_albedo_p90", truth.reference["naive_albedo"]["p90"].as_f64().unwrap_or(f64::NAN));
+    // Another mesh than the truth's has its own lit colours, too, but none where no picture shows it.
+    let naive_colors = of(&found.lit_color, &|p| p.1);
+    let is_shown = |i: usize| naive_colors[i] != Vec3::ZERO;
+    let naive = metrics::albedo(&wide(&naive_colors), &wide(&true_albedo), &material, is_shown);
+    let of_reference = |key: &str| truth.reference["naive_albedo"][key].as_f64().unwrap_or(f64::NAN);
+    put("naive_albedo_median", if same { of_reference("median") } else { naive.median });
+    put("naive_albedo_p90", if same { of_reference("p90") } else { naive.p90 });
     put("ari", metrics::adjusted_rand_index(&material, &segment));
     let glossy = segment.iter().zip(&material).map(|(s, m)| (*s, truth.glossy[*m as usize]));
     let auc = metrics::gloss_auc(glossy, |s| found.gloss.get(&s).copied().unwrap_or(0.0));
     put("gloss_auc", auc.unwrap_or(f64::NAN));
 
     // Light on the surface, and held-out views.
-    let albedo: Vec<Vec3> =
-        found.albedo.iter().map(|a| (*a * scale).clamp(Vec3::ZERO, Vec3::splat(MOST_ALBEDO))).collect();
+    let most = Vec3::splat(MOST_ALBEDO);
+    let albedo: Vec<Vec3> = found.albedo.iter().map(|a| (*a * scale).clamp(Vec3::ZERO, most)).collect();
     let scaled = scale.as_dvec3();
     let light: Vec<[f64; 3]> = found.light.iter().map(|l| (DVec3::from(*l) / scaled).to_array()).collect();
     let spheres = found.spheres.iter().map(|s| Sphere { radiance: s.radiance / scale, ..*s }).collect();
     let emission: Option<Vec<Vec3>> = found.emission.map(|e| e.iter().map(|e| *e / scale).collect());
-    // The ceiling of another mesh than the truth's: the truth's albedo on it.
-    let ceiling_albedo = (!same).then(|| {
+    // On another mesh than the truth's: the truth's albedo, which is the ceiling, and lit colours as albedo.
+    let references = (!same).then(|| {
         let mut ceiling = albedo.clone();
         let all: Vec<usize> = (0..ceiling.len()).collect();
         let nearest = matched(&found.mesh, &all, &truth.mesh);
         nearest.into_iter().for_each(|(own, of_truth)| ceiling[own] = truth.albedo[of_truth]);
-        ceiling
+        let factor = median_ratio(&true_albedo, &naive_colors, is_shown);
+        let flat = |(c, own): (&Vec3, &Vec3)| if *c == Vec3::ZERO { *own } else { (*c * factor).min(most) };
+        let naive = found.lit_color.iter().zip(&albedo).map(flat).collect();
+        [("ceiling", ceiling), ("naive", naive)]
     });
     let rerender = Rerender::new(found.mesh, RERENDER_RAYS, threads);
     let arriving = rerender.bounced(&rerender.direct_found(&light, spheres, emission.as_deref()), &albedo);
@@ -271,9 +282,9 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
             let environment = read_environment(&scene.join(format!("truth/env_{key}.npy")));
             // Light gets through every gap of a scan, so that portals would miss some.
             let direct = rerender.direct(&environment, if same { &portals } else { &[] });
-            if let Some(ceiling) = &ceiling_albedo {
-                let colors: Vec<Vec3> = reflected(ceiling, &rerender.bounced(&direct, ceiling));
-                put(&format!("ceiling_{key}_psnr"), seen(&colors));
+            for (kind, albedo) in references.iter().flatten() {
+                let colors: Vec<Vec3> = reflected(albedo, &rerender.bounced(&direct, albedo));
+                put(&format!("{kind}_{key}_psnr"), seen(&colors));
             }
             rerender.bounced(&direct, &albedo)
         };
@@ -289,9 +300,11 @@ pub fn judge(scene: &Path, result: &Path, recorded: bool, threads: usize) -> Fal
         put(&format!("{kind}_original_psnr"), of("original"));
     }
     if !same {
-        let of = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
-        let ceiling = 0.5 * (of("ceiling_relight1_psnr") + of("ceiling_relight2_psnr"));
-        row.insert("ceiling_psnr".into(), json!(ceiling));
+        for kind in ["ceiling", "naive"] {
+            let of = |key: &str| row[&format!("{kind}_{key}_psnr")].as_f64().unwrap_or(f64::NAN);
+            let mean = 0.5 * (of("relight1") + of("relight2"));
+            row.insert(format!("{kind}_psnr"), json!(mean));
+        }
     }
     let of = |key: &str| row[key].as_f64().unwrap_or(f64::NAN);
     let relit = 0.5 * (of("relight1_psnr") + of("relight2_psnr"));
