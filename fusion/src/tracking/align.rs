@@ -51,7 +51,7 @@ impl Alignment {
 pub struct Aligner {
     /// Associations of the last alignment.
     pub associations: Vec<Association>,
-    /// Of the last frame-to-frame association.
+    /// Squared sines of the angles between the normals of the last frame-to-frame association.
     tilts: Vec<f32>,
 }
 
@@ -91,7 +91,7 @@ impl Aligner {
                     Geometry::Reference => associate_reference(problem, &pose, &mut self.associations, &mut self.tilts),
                     Geometry::Volume { stride } => associate_volume(problem, &pose, stride, &mut self.associations),
                 };
-                let mut of_normals = None;
+                let mut tilted = None;
                 for _ in 0..2 {
                     let camera_from_reference = pose.inverse().compose(&reference.world_from_camera);
                     let comparison = Comparison { frame, rig, level: stage.level, points, brightness, sigma };
@@ -99,14 +99,14 @@ impl Aligner {
                     let geo = geometric(&self.associations, &pose, stage.cut, &rig.noise, |j, _| j);
                     let to_prediction = log(&pose.inverse().compose(predicted));
                     // Hardly changes from one iteration to the next. Normals of the volume are means over many frames.
-                    let of_normals = of_normals.get_or_insert_with(|| match stage.geometry {
+                    let tilted = tilted.get_or_insert_with(|| match stage.geometry {
                         Geometry::Reference => {
                             of_tilted_normals(&self.associations, &pose, stage.cut, &rig.noise, &geo)
                                 * normal_variance(&mut self.tilts)
                         }
                         Geometry::Volume { .. } => Matrix6::zeros(),
                     });
-                    let step = solve(&geo, of_normals, &photo, &to_prediction, f64::from(frame.median_depth), config);
+                    let step = solve(&geo, tilted, &photo, &to_prediction, f64::from(frame.median_depth), config);
                     pose = pose.compose(&exp(&step.delta));
                     brightness.gain = (brightness.gain + step.gain).clamp(GAIN.0, GAIN.1);
                     brightness.offset = (brightness.offset + step.offset).clamp(-MAX_OFFSET, MAX_OFFSET);
