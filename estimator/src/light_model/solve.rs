@@ -4,6 +4,10 @@
 //! the light there, in a few rounds. Every row has one b, so that the b are eliminated segment by segment
 //! (`H = Σ_s C_s − B_s B_sᵀ / D_s`) and a quadratic form in the light alone is left. Zero would solve it, so the mean light
 //! is held at 1; the coefficient k of the secondary light, which is known in units of f, then fixes the absolute scale.
+//!
+//! Least squares of (N5) take the lit colour for exact. Where it varies within a segment (a print), `Σ w f²` is too large by the
+//! square of that spread, and light is drawn away from there. The rounds after the first ones are therefore steps of Gauss–Newton
+//! on `f b − E (1 + δ_s)`, which takes the light for exact, with the δ_s eliminated in the place of the b.
 
 use crate::factorisation::Projection;
 use crate::light_model::samples::{DARK_FLOOR, Samples};
@@ -13,8 +17,13 @@ use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Rounds in which rows are divided by the light of the round before.
-const ROUNDS: usize = 5;
+/// Rounds at most, and those at first that are linear in 1/albedo.
+const ROUNDS: usize = 10;
+const LINEAR_ROUNDS: usize = 3;
+/// Rounds end when the light of the samples changes by less (root mean square, relative).
+const CONVERGED: f64 = 2e-3;
+/// Factor that an albedo changes by at most in one step of Gauss–Newton.
+const MOST_CHANGE: f64 = 2.0;
 /// Residuals beyond this many robust standard deviations count less (Huber).
 const HUBER: f64 = 1.5;
 /// Weight of the condition that holds the mean light at 1, against the sum of the rows' weights.
@@ -145,16 +154,17 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut irradiance = vec![1.0; count];
     let mut solution = DVector::zeros(dim);
     let mut radiance = DVector::from_element(projection.ncols(), 1.0);
-    let mut deviation = vec![f64::INFINITY; dim];
-    let mut scale_deviation = f64::INFINITY;
+    let mut last = None;
     let mut row = vec![0.0; dim];
     let largest = |j: usize| fitted.iter().map(|n| f64::from(shared[n * columns + j])).fold(0.0, f64::max);
     let brought = |j: usize| largest(j).max(rows.least_brought.get(j - coefficients).copied().unwrap_or(0.0));
     let strongest: Vec<f64> = (coefficients..columns).map(brought).collect();
     let isa = Isa::detect();
     for round in 0..ROUNDS {
+        let is_linear = round < LINEAR_ROUNDS;
         let explained = |n: usize| color[n] * inverse[samples.segment[n] as usize];
-        let size = |n: usize| (0.5 * (explained(n) + irradiance[n])).max(DARK_FLOOR);
+        let expected = |n: usize| if is_linear { 0.5 * (explained(n) + irradiance[n]) } else { irradiance[n] };
+        let size = |n: usize| f64::max(expected(n), DARK_FLOOR);
         let relative = |n: usize| (explained(n) - irradiance[n]).abs() / size(n);
         let sigma = if round == 0 { 0.5 } else { robust_sigma(fitted.iter().map(|n| relative(*n))).max(1e-4) };
         let mut statistics = Statistics::new(samples.segments, dim);
@@ -164,17 +174,18 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             row[columns] = secondary[n];
             let huber = if round == 0 { 1.0 } else { HUBER * sigma / relative(n).max(HUBER * sigma) };
             let weight = samples.weight[n] * huber / (size(n) * size(n));
-            let (segment, color) = (samples.segment[n] as usize, color[n]);
-            dispatch(isa, OneRow { statistics: &mut statistics, segment, weight, color, row: &row });
+            let segment = samples.segment[n] as usize;
+            let (factor, known) = if is_linear { (color[n], 0.0) } else { (irradiance[n], explained(n)) };
+            dispatch(isa, OneRow { statistics: &mut statistics, segment, weight, factor, known, row: &row });
             let share = samples.weight[n] / (size(n) * total);
             mean.iter_mut().zip(&row).for_each(|(m, r)| *m += share * r);
         }
         if statistics.square.iter().all(|s| *s <= 0.0) {
             break;
         }
-        let reduced = statistics.reduced();
+        let (reduced, explained) = statistics.reduced();
         let mut problem = NonNegative {
-            cross: &mean * (NORMALISED * total),
+            cross: &mean * (NORMALISED * total) + explained,
             gram: reduced.clone(),
             projection,
             extras: dim - coefficients,
@@ -192,22 +203,35 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             problem.gram[(coefficients + j, coefficients + j)] += noise * per * per;
         }
         solution = problem.solve(regularisation * total, &mut radiance, &solution);
-        let scale = mean.dot(&solution);
-        if scale > 0.0 {
-            solution /= scale;
-            radiance /= scale;
+        let scale = Some(mean.dot(&solution)).filter(|s| *s > 0.0).unwrap_or(1.0);
+        for (b, eliminated) in inverse.iter_mut().zip(statistics.eliminated(&solution)) {
+            match eliminated {
+                Some(inverse) if is_linear && inverse > 0.0 => *b = inverse / scale,
+                Some(minus) if !is_linear => *b /= scale * (1.0 - minus).clamp(1.0 / MOST_CHANGE, MOST_CHANGE),
+                _ => {}
+            }
         }
-        statistics.update_inverse_albedo(&solution, &mut inverse);
+        solution /= scale;
+        radiance /= scale;
+        let (mut moved, mut weights) = (0.0, 0.0);
         for (n, e) in irradiance.iter_mut().enumerate() {
             let shared = &shared[n * columns..(n + 1) * columns];
             let sum: f64 = shared.iter().zip(solution.iter()).map(|(t, x)| f64::from(*t) * x).sum();
-            *e = (sum + secondary[n] * solution[columns]).max(0.0);
+            let next = (sum + secondary[n] * solution[columns]).max(0.0);
+            moved += samples.weight[n] * ((next - *e) / next.max(DARK_FLOOR)).powi(2);
+            weights += samples.weight[n];
+            *e = next;
         }
-        if round + 1 == ROUNDS {
-            let prior = regularisation * total / (4.0 * std::f64::consts::PI);
-            deviation = posterior(reduced, noise, prior, coefficients);
-            scale_deviation = posterior(normalised, noise, prior, coefficients)[columns] / solution[columns];
+        last = Some((reduced, normalised, noise));
+        if !is_linear && moved <= CONVERGED * CONVERGED * weights {
+            break;
         }
+    }
+    let (mut deviation, mut scale_deviation) = (vec![f64::INFINITY; dim], f64::INFINITY);
+    if let Some((reduced, normalised, noise)) = last {
+        let prior = regularisation * total / (4.0 * std::f64::consts::PI);
+        deviation = posterior(reduced, noise, prior, coefficients);
+        scale_deviation = posterior(normalised, noise, prior, coefficients)[columns] / solution[columns];
     }
     // Into units of f: the secondary light's coefficient is 1 there.
     let least = inverse.iter().copied().fold(f64::INFINITY, f64::min);
@@ -234,11 +258,20 @@ fn posterior(mut gram: DMatrix<f64>, noise: f64, prior: f64, coefficients: usize
     }
 }
 
-/// Sufficient statistics per segment: Σ w f², Σ w f t, and Σ w t tᵀ over all.
+/// Sufficient statistics of `Σ w (e u_s + y − t z)²` with the light z and one unknown u_s a segment: (N5) has e = f, y = 0 and
+/// u = b, a step of Gauss–Newton e = E, y = f b and u = −δ.
 struct Statistics {
+    /// Σ w e²: `[segment]`.
     square: Vec<f64>,
+    /// Σ w: `[segment]`.
     weight: Vec<f64>,
+    /// Σ w e t: `[segment]`.
     cross: Vec<DVector<f64>>,
+    /// Σ w e y: `[segment]`.
+    known: Vec<f64>,
+    /// Σ w y t over all.
+    known_cross: DVector<f64>,
+    /// Σ w t tᵀ over all.
     gram: DMatrix<f64>,
 }
 
@@ -248,20 +281,23 @@ impl Statistics {
             square: vec![0.0; segments],
             weight: vec![0.0; segments],
             cross: vec![DVector::zeros(dim); segments],
+            known: vec![0.0; segments],
+            known_cross: DVector::zeros(dim),
             gram: DMatrix::zeros(dim, dim),
         }
     }
 
-    /// The form in the light alone.
-    fn reduced(&self) -> DMatrix<f64> {
-        let mut gram = self.gram.clone();
+    /// The form in the light alone: ½ zᵀ H z − gᵀ z.
+    fn reduced(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let (mut gram, mut explained) = (self.gram.clone(), self.known_cross.clone());
         gram.fill_lower_triangle_with_upper_triangle();
-        for (square, cross) in self.square.iter().zip(&self.cross) {
+        for ((square, cross), known) in self.square.iter().zip(&self.cross).zip(&self.known) {
             if *square > 0.0 {
                 gram.ger(-1.0 / square, cross, cross, 1.0);
+                explained.axpy(-known / square, cross, 1.0);
             }
         }
-        gram
+        (gram, explained)
     }
 
     /// 1/b of the brightest segment that is large.
@@ -271,14 +307,10 @@ impl Statistics {
         large.map(|(_, b)| 1.0 / b.max(1e-30)).fold(f64::MIN_POSITIVE, f64::max)
     }
 
-    /// b of every segment under this light.
-    fn update_inverse_albedo(&self, light: &DVector<f64>, inverse: &mut [f64]) {
-        for ((b, square), cross) in inverse.iter_mut().zip(&self.square).zip(&self.cross) {
-            let explained = cross.dot(light);
-            if *square > 0.0 && explained > 0.0 {
-                *b = explained / square;
-            }
-        }
+    /// u of every segment under this light, where there is a sample: `[segment]`.
+    fn eliminated(&self, light: &DVector<f64>) -> impl Iterator<Item = Option<f64>> {
+        let sums = self.square.iter().zip(&self.cross).zip(&self.known);
+        sums.map(|((square, cross), known)| (*square > 0.0).then(|| (cross.dot(light) - known) / square))
     }
 }
 
@@ -287,7 +319,11 @@ struct OneRow<'a> {
     statistics: &'a mut Statistics,
     segment: usize,
     weight: f64,
-    color: f64,
+    /// e.
+    factor: f64,
+    /// y.
+    known: f64,
+    /// t.
     row: &'a [f64],
 }
 
@@ -296,10 +332,14 @@ impl Hot for OneRow<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { statistics, segment, weight, color, row } = self;
-        statistics.square[segment] += weight * color * color;
+        let Self { statistics, segment, weight, factor, known, row } = self;
+        statistics.square[segment] += weight * factor * factor;
         statistics.weight[segment] += weight;
-        add_scaled(statistics.cross[segment].as_mut_slice(), weight * color, row);
+        statistics.known[segment] += weight * factor * known;
+        add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, row);
+        if known > 0.0 {
+            add_scaled(statistics.known_cross.as_mut_slice(), weight * known, row);
+        }
         let gram = statistics.gram.as_mut_slice().chunks_exact_mut(row.len());
         for (j, (column, t)) in gram.zip(row).enumerate() {
             add_scaled(&mut column[..=j], weight * t, &row[..=j]);
