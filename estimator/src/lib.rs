@@ -91,7 +91,7 @@ pub fn estimate_on(
     run.plan.light_done(model.traced.mean_blocked(), model.options.bands);
 
     // Light that is not distant, where held-out surface asks for it (N1).
-    let local_light = stages::select_local_light(&mut prepared, &mut found, &mut run);
+    let local_light = stages::select_local_light(&mut prepared, &mut found, &model.options, &mut run);
 
     let mut early = Answer { found, gloss: vec![Gloss::NONE; prepared.segments] };
     stages::hand_over(scan, &mut prepared, &mut early, &local_light, None, Milestone::Albedo, &mut run);

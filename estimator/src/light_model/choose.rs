@@ -4,6 +4,7 @@
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::scale::{self, Fixed, Scaled};
 use crate::factorisation::{Colors, Factorised, Solution};
+use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, mean, segment_albedo};
 use crate::light_model::lamps::{self, Sphere};
@@ -15,7 +16,7 @@ use crate::light_model::solve::{self, Rows, Solved};
 use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::transfer::Traced;
-use firmware_config::tuning::FactorisationTuning;
+use firmware_config::tuning::{FactorisationTuning, SegmentationTuning};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use recordings::decision::{Decision, LightRung};
@@ -36,7 +37,7 @@ const WORTHWHILE: f64 = 0.01;
 const NEAR_LEAVES: f64 = 0.65;
 /// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
 const UNQUESTIONED: f64 = 0.03;
-/// Nor is it where it leaves less than this share of what a smooth function of position and normal leaves.
+/// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
 const CLEAR: f64 = 0.5;
 /// Lamps at most.
 const MAX_LAMPS: usize = 4;
@@ -68,6 +69,8 @@ pub struct Scene<'a> {
     pub unseen_radiates: bool,
     /// Lamps that the pictures show: only how bright they are is asked.
     pub seen_lamps: &'a [Sphere],
+    /// What tells paints apart; `None` where segments stay as they are.
+    pub divided_by: Option<&'a SegmentationTuning>,
 }
 
 /// What takes the place of the distant answer.
@@ -92,6 +95,9 @@ pub struct Chosen {
     pub decisions: Vec<Decision>,
     /// Richer models were tried.
     pub searched: bool,
+    /// Where no model clearly explains the colours: parts of the segments with which one explains more, and that decision. The choice is
+    /// to be made again with them.
+    pub division: Option<(Division, Decision)>,
 }
 
 /// Chooses the model that held-out surface asks for, against the distant answer `found`. `may_search` is asked before richer
@@ -110,7 +116,7 @@ pub fn choose(
     let distant = held_out::errors(&choice.samples, at);
     let samples = choice.samples.len() as u32;
     let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
-    let (mut near, mut near_light) = (None, None);
+    let (mut near, mut near_light, mut division) = (None, None, None);
     let smooth = Smooth::fit(scene.mesh, &choice.samples);
     let error = |irradiance: &dyn Fn(usize) -> [f64; 3]| mean(&held_out::errors(&choice.samples, irradiance));
     let flat = error(&|_| [1.0; 3]);
@@ -134,16 +140,21 @@ pub fn choose(
                 Some(Decision::NearLight { accepted: is_near, distant: of_distant, near: of_near, most: NEAR_LEAVES });
         }
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
-        if unexplained < least * (1.0 - LEAST_GAIN) {
+        let is_unexplained = unexplained < least * (1.0 - LEAST_GAIN);
+        // A near model that is clearly better than a smooth function has the segments right.
+        if is_unexplained || is_near && least > CLEAR * unexplained {
+            division = scene.divided_by.and_then(|paints| choice.divided(&best, paints));
+        }
+        if is_unexplained {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
             near = Some(choice.unexplained(smooth, found));
-        } else if is_near {
+        } else if is_near && division.is_none() {
             near = Some(choice.finished(best, found));
         }
     }
     let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
     let decisions = near_light.into_iter().chain([Decision::LightModel { chosen, ladder, samples }]).collect();
-    Chosen { near, decisions, searched }
+    Chosen { near, decisions, searched, division }
 }
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.
@@ -270,6 +281,35 @@ impl<'a> Choice<'a> {
         let solved = solve::solve(&self.columns(self.bands(), emitters, lamps).rows(&self.samples), regularisation);
         let blocks = held_out::errors(&self.samples, |n| solved.irradiance[n]);
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
+    }
+
+    /// The same choice with other segments.
+    fn in_segments(&self, division: &Division) -> Self {
+        let samples = self.samples.in_segments(&division.part, division.of.len());
+        let (pieces, piece_columns, radiance) =
+            (self.pieces.clone(), self.piece_columns.clone(), self.radiance.clone());
+        Self { samples, pieces, piece_columns, radiance, ..*self }
+    }
+
+    /// Parts of the segments with which a model explains held-out surface better than `best` does: all that faces one way is a part,
+    /// and those that come out alike under `best` are one again.
+    fn divided(&self, best: &Model, paints: &SegmentationTuning) -> Option<(Division, Decision)> {
+        let facing = Division::by_facing(self.scene.mesh, self.scene.colors.segment);
+        let finest = self.in_segments(&facing);
+        let mut weight = vec![0.0; facing.of.len()];
+        let seen = finest.samples.segment.iter().zip(&finest.samples.weight);
+        seen.for_each(|(part, w)| weight[*part as usize] += w);
+        let albedo = finest.regularised(best.clone()).solved.albedo;
+        let division = facing.joined(&albedo, &weight, paints);
+        let divided = self.in_segments(&division);
+        let found = divided.regularised(divided.grown(&mut Vec::new()));
+        let decision = Decision::Division {
+            segments: self.samples.segments as u32,
+            parts: division.of.len() as u32,
+            held_out_segments: mean(&best.blocks),
+            held_out: mean(&found.blocks),
+        };
+        is_better(&found.blocks, &best.blocks).then_some((division, decision))
     }
 
     /// The model with the strongest regularisation that a weaker one does not beat.

@@ -5,6 +5,7 @@
 
 pub mod choose;
 pub mod covered;
+pub mod division;
 mod emitters;
 mod held_out;
 pub mod lamps;

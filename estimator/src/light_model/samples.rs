@@ -2,7 +2,7 @@
 
 use crate::factorisation::Colors;
 use crate::numerics::random::hash;
-use crate::numerics::robust::median;
+use crate::numerics::robust::{median, segment_medians};
 use glam::{IVec3, Vec3};
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ const FOLDS: u32 = 5;
 /// Lit colours count relative to themselves, but not below this share of the segment's median.
 pub const DARK_FLOOR: f64 = 0.15;
 
-/// Sampled vertices. Arrays are `[sample]`, sorted by segment.
+/// Sampled vertices. Arrays are `[sample]`, sorted by the segment that they were drawn from.
 #[derive(Debug, Clone, Default)]
 pub struct Samples {
     /// Index of the vertex.
@@ -76,6 +76,14 @@ impl Samples {
             samples.medians.push([0, 1, 2].map(|c| median(of.iter().map(|f| f[c])).unwrap_or(0.0)));
         }
         samples
+    }
+
+    /// The same samples in other segments: `segment` is `[vertex]`.
+    #[must_use]
+    pub fn in_segments(&self, segment: &[u32], segments: usize) -> Self {
+        let segment: Vec<u32> = self.vertex.iter().map(|i| segment[*i as usize]).collect();
+        let colors = segment.iter().zip(&self.color).map(|(s, color)| (*s, *color, 1.0));
+        Self { medians: segment_medians(segments, colors), segment, segments, ..self.clone() }
     }
 
     /// Every patch as one sample: prints and noise average out, what a model of light misses does not.

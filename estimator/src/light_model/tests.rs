@@ -1,13 +1,14 @@
 //! A desk with a box in a corner of two walls, under a lamp or under a uniform sky: lit colours as the model makes them.
 
 use crate::factorisation::{Colors, FactorisationOptions, factorise};
-use crate::light_model::choose::{self, Near};
+use crate::light_model::choose::{self, Chosen, Near};
+use crate::light_model::division::Division;
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::secondary::secondary;
 use crate::rays::RayScene;
 use crate::transfer::{Traced, Tracer};
 use firmware_config::SolverChoice;
-use firmware_config::tuning::FactorisationTuning;
+use firmware_config::tuning::{FactorisationTuning, SegmentationTuning};
 use glam::Vec3;
 use recordings::decision::Decision;
 use recordings::local_light::LightModel;
@@ -65,11 +66,21 @@ fn lit(traced: &Traced, segment: &[u32], direct: &[Vec3]) -> Vec<Vec3> {
 }
 
 fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<Near>, Vec<Decision>, Vec<u32>) {
-    let (mesh, segment) = desk();
+    let (chosen, paint) = chosen_with(|paint| paint, direct);
+    (chosen.near, chosen.decisions, paint)
+}
+
+/// The choice where `segment_of` tells the segment of every paint; and the paint of every vertex.
+fn chosen_with(
+    segment_of: impl Fn(u32) -> u32,
+    direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3,
+) -> (Chosen, Vec<u32>) {
+    let (mesh, paint) = desk();
     let scene = RayScene::new(&mesh);
     let traced = Arc::new(Tracer { mesh: &mesh, scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()));
     let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
-    let lit_color = lit(&traced, &segment, &direct);
+    let lit_color = lit(&traced, &paint, &direct);
+    let segment: Vec<u32> = paint.iter().map(|p| segment_of(*p)).collect();
     let weight = vec![1.0; lit_color.len()];
     let clipped = vec![false; lit_color.len()];
     let colors = Colors {
@@ -90,18 +101,20 @@ fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<
         tuning: &tuning,
     };
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
-    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates: false, seen_lamps: &[] };
-    let chosen = choose::choose(&parts, &found, &tuning, &mut || true);
-    (chosen.near, chosen.decisions, segment)
+    let paints = SegmentationTuning::default();
+    let (unseen_radiates, divided_by) = (false, Some(&paints));
+    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates, seen_lamps: &[], divided_by };
+    (choose::choose(&parts, &found, &tuning, &mut || true), paint)
+}
+
+fn under_the_lamp(mesh: &Mesh, scene: &RayScene, traced: &Traced, i: usize) -> Vec3 {
+    let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.1;
+    Vec3::new(0.5, 0.4, 0.3) * lamps::form_factor(mesh, scene, i, &LAMP) + Vec3::splat(sky)
 }
 
 #[test]
 fn a_lamp_beside_the_scene_is_found_where_it_is() {
-    let power = Vec3::new(0.5, 0.4, 0.3);
-    let (near, decision, segment) = chosen(|mesh, scene, traced, i| {
-        let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.1;
-        power * lamps::form_factor(mesh, scene, i, &LAMP) + Vec3::splat(sky)
-    });
+    let (near, decision, segment) = chosen(under_the_lamp);
     let near = near.unwrap_or_else(|| panic!("distant light was kept: {decision:?}"));
     assert_eq!(near.light.model, LightModel::Lamps, "{decision:?}");
     let lamp = near.light.lamps[0];
@@ -114,6 +127,17 @@ fn a_lamp_beside_the_scene_is_found_where_it_is() {
         .collect();
     let median = crate::numerics::robust::median(wrong).unwrap_or(1.0);
     assert!(median < 0.1, "albedo off by {median}, its scale included");
+}
+
+#[test]
+fn a_desk_and_walls_that_were_taken_for_one_paint_are_divided() {
+    let (chosen, paint) = chosen_with(|paint| if paint == 1 { 0 } else { paint }, under_the_lamp);
+    let Some((Division { part, of }, decision)) = chosen.division else { panic!("{:?}", chosen.decisions) };
+    // Most of a part is of one paint.
+    let mut count = vec![[0; ALBEDO.len()]; of.len()];
+    part.iter().zip(&paint).for_each(|(part, paint)| count[*part as usize][*paint as usize] += 1);
+    let most: usize = count.iter().map(|c| c.iter().max().copied().unwrap_or(0)).sum();
+    assert!(most as f64 > 0.98 * part.len() as f64, "{count:?}, {decision:?}");
 }
 
 #[test]

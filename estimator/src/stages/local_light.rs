@@ -1,28 +1,51 @@
 //! Light that is not distant, where held-out surface asks for it.
 
 use crate::association::seen_lamps::SeenLamp;
-use crate::factorisation::{Colors, Factorised};
+use crate::factorisation::{Colors, FactorisationOptions, Factorised};
 use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::covered::covered;
+use crate::light_model::division::Division;
 use crate::light_model::lamps::Sphere;
+use crate::stages::materials::factorised_again;
 use crate::stages::prepare::Prepared;
 use crate::stages::result::check_distance;
 use crate::stages::run::Run;
 use crate::stages::veil::near_veil;
 use recordings::local_light::{LightModel, LocalLight};
 
+/// What is allowed in a choice of the model.
+#[derive(Clone, Copy, PartialEq)]
+enum Trial {
+    /// Segments may be divided.
+    First,
+    /// All stays as it is.
+    Again,
+    /// What was not seen may radiate.
+    UnseenRadiates,
+}
+
 /// Puts the answer of a richer model of light in place of the distant one if held-out surface asks for it; the distant one is
-/// checked before. Where no model explains the colours, as in closed rooms that were seen in part, what another sheet covers
-/// counts as unseen, what was not seen may radiate, and the models are tried again. Veiling glare that the near model tells is taken
+/// checked before. Where no model clearly explains the colours, segments may be divided, and the models are tried again. Where none
+/// explains them at all, as in closed rooms that were seen in part, what another sheet covers counts as unseen, what was not seen may
+/// radiate, and they are tried once more. Veiling glare that the near model tells is taken
 /// out of the colours, and the models are tried once more. Changes nothing else.
-pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: &mut Run) -> LocalLight {
+pub fn select_local_light(
+    prepared: &mut Prepared,
+    found: &mut Factorised,
+    options: &FactorisationOptions,
+    run: &mut Run,
+) -> LocalLight {
     let sphere = |l: &SeenLamp| Sphere { center: l.center, radius: l.radius };
     let seen_lamps: Vec<Sphere> = prepared.fields.seen_lamps.iter().map(sphere).collect();
-    let choose = |prepared: &Prepared, lit_weight: &[f32], unseen_radiates: bool, run: &mut Run| {
+    let config = run.config;
+    let tuning = &config.tuning.factorisation;
+    let paints = &config.tuning.segmentation;
+    let choose = |prepared: &Prepared, found: &Factorised, lit_weight: &[f32], trial: Trial, run: &mut Run| {
         let colors = Colors { lit_weight, ..prepared.colors() };
         let (mesh, rays) = (&prepared.mesh, &prepared.scene);
-        let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps };
-        let tuning = &run.config.tuning.factorisation;
+        let unseen_radiates = trial == Trial::UnseenRadiates;
+        let divided_by = (trial == Trial::First && run.plan.fits_local_light()).then_some(paints);
+        let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps, divided_by };
         let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searched {
             run.plan.local_light_done();
@@ -30,26 +53,33 @@ pub fn select_local_light(prepared: &mut Prepared, found: &mut Factorised, run: 
         chosen
     };
     let is_unexplained = |c: &Chosen| c.near.as_ref().is_some_and(|n| n.light.model == LightModel::Unexplained);
-    let mut chosen = choose(prepared, &prepared.fields.lit_weight, false, run);
+    let mut chosen = choose(prepared, found, &prepared.fields.lit_weight, Trial::First, run);
+    if let Some((Division { part, of }, decision)) = chosen.division.take() {
+        prepared.decisions.push(decision);
+        (prepared.segment, prepared.segments) = (part, of.len());
+        *found = factorised_again(prepared, found, options);
+        chosen = choose(prepared, found, &prepared.fields.lit_weight, Trial::Again, run);
+    }
     // Of the vertices; empty unless what another sheet covers counts as unseen.
     let mut hidden: Vec<bool> = Vec::new();
     if is_unexplained(&chosen) {
         let covered = covered(&prepared.mesh, &prepared.scene);
         let mut uncovered = prepared.fields.lit_weight.clone();
         hide(&mut uncovered, &covered);
-        let again = choose(prepared, &uncovered, true, run);
+        let again = choose(prepared, found, &uncovered, Trial::UnseenRadiates, run);
         if explained(&again).is_some() {
             (chosen, prepared.fields.lit_weight, hidden) = (again, uncovered, covered);
         }
     }
     // Glare of the lens, and all of it again without.
-    let looks_for_veil = run.config.tuning.factorisation.veil && run.plan.fits_local_light();
+    let looks_for_veil = tuning.veil && run.plan.fits_local_light();
     if let Some(near) = explained(&chosen).filter(|_| looks_for_veil) {
         let (veil, mut share) = near_veil(prepared, &near.irradiance);
         if share.chosen > 0.0 {
             prepared.fields.take_veil(&veil, share.chosen);
             hide(&mut prepared.fields.lit_weight, &hidden);
-            let again = choose(prepared, &prepared.fields.lit_weight, !hidden.is_empty(), run);
+            let trial = if hidden.is_empty() { Trial::Again } else { Trial::UnseenRadiates };
+            let again = choose(prepared, found, &prepared.fields.lit_weight, trial, run);
             if explained(&again).is_some() {
                 chosen = again;
             } else {

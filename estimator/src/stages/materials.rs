@@ -40,11 +40,7 @@ pub fn merge_materials(
         }
         prepared.segments = materials.iter().max().map_or(0, |m| *m as usize + 1);
         prepared.segment = merged;
-        let of_materials = self::paints(prepared, &prepared.segment, prepared.segments, &last.irradiance);
-        let initial = config.tuning.factorisation.initial_albedo;
-        let albedo = of_materials.iter().map(|p| p.map_or([initial; 3], |p| p.log_albedo.to_array().map(libm::exp)));
-        let start = last.start_with(albedo.collect());
-        best = Some(factorise(Arc::clone(&last.transfer.traced), &prepared.colors(), options, Some(start)));
+        best = Some(factorised_again(prepared, last, options));
     }
     let Some(merged) = best else { return found };
     let held_out = held_out_error(&merged, &prepared.colors(), &config.tuning);
@@ -60,6 +56,15 @@ pub fn merge_materials(
     }
     (prepared.segment, prepared.segments) = (segment, segments);
     found
+}
+
+/// Factorises again after the segments have changed, from the light of `last` and the albedos under it.
+pub(super) fn factorised_again(prepared: &Prepared, last: &Factorised, options: &FactorisationOptions) -> Factorised {
+    let paints = paints(prepared, &prepared.segment, prepared.segments, &last.irradiance);
+    let initial = options.tuning.initial_albedo;
+    let albedo = paints.iter().map(|p| p.map_or([initial; 3], |p| p.log_albedo.to_array().map(libm::exp)));
+    let start = last.start_with(albedo.collect());
+    factorise(Arc::clone(&last.transfer.traced), &prepared.colors(), options, Some(start))
 }
 
 /// Median albedo of every segment by lit colour and irradiance: `[segment]`; `None` where nothing is known.
