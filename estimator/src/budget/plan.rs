@@ -364,25 +364,25 @@ impl<'a> Plan<'a> {
         self.worked(workload.light(&size, blocked) - cost_model::rays(size.vertices, workload.rays));
     }
 
-    /// True if a search for lamps and emitting surfaces fits once more.
-    pub fn fits_local_light(&self) -> bool {
+    /// True if so many searches for lamps and emitting surfaces fit.
+    pub fn fits_local_light(&self, searches: u32) -> bool {
         let size = self.workload.size(&self.size);
-        cost_model::local_light(&size) + cost_model::output(&size) <= self.left()
+        f64::from(searches) * cost_model::local_light(&size) + cost_model::output(&size) <= self.left()
     }
 
     /// True if a search for lamps and emitting surfaces fits; a cut where it does not.
     pub fn local_light(&mut self) -> bool {
-        let fits = self.fits_local_light();
+        let fits = self.fits_local_light(1);
         if !fits {
             self.fixed.push(Cut::LocalLight);
         }
         fits
     }
 
-    /// Lamps and emitting surfaces were looked for.
-    pub fn local_light_done(&mut self) {
+    /// Lamps and emitting surfaces were looked for so many times.
+    pub fn local_light_done(&mut self, searches: u32) {
         let size = self.workload.size(&self.size);
-        self.worked(cost_model::local_light(&size));
+        self.worked(f64::from(searches) * cost_model::local_light(&size));
     }
 
     /// True if glare and materials can be looked for before what is planned after them; `blocked` is the share of rays that hit.

@@ -35,6 +35,9 @@ const WORTHWHILE: f64 = 0.01;
 /// A near model must leave less than this share of what distant light leaves in the means of patches. Gloss, which depends on where
 /// the camera is, can be explained by lamps in part; lamps explain more.
 const NEAR_LEAVES: f64 = 0.65;
+/// Once all else was tried, a near model stands beside a smooth function that explains more if it leaves less than this share of what
+/// no model leaves. A smooth function interpolates: what differs from segment to segment it takes for light as well as for paint.
+const LEAVES_OF_NONE: f64 = 0.35;
 /// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
 const UNQUESTIONED: f64 = 0.03;
 /// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
@@ -93,8 +96,8 @@ pub struct Chosen {
     pub near: Option<Near>,
     /// The choice and its evidence.
     pub decisions: Vec<Decision>,
-    /// Richer models were tried.
-    pub searched: bool,
+    /// Times that richer models were tried.
+    pub searches: u32,
     /// Where no model clearly explains the colours: parts of the segments with which one explains more, and that decision. The choice is
     /// to be made again with them.
     pub division: Option<(Division, Decision)>,
@@ -124,8 +127,9 @@ pub fn choose(
     let unexplained = smoothed.min(flat);
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
     let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * unexplained) && distant.len() > 1;
-    let searched = questioned && may_search();
-    if searched {
+    let mut searches = 0;
+    if questioned && may_search() {
+        searches += 1;
         choice.observe();
         let best = choice.regularised(choice.grown(&mut ladder));
         // Where a smooth function replaces distant light, a model that explains more than both goes before it.
@@ -140,9 +144,11 @@ pub fn choose(
                 Some(Decision::NearLight { accepted: is_near, distant: of_distant, near: of_near, most: NEAR_LEAVES });
         }
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
-        let is_unexplained = unexplained < least * (1.0 - LEAST_GAIN);
+        let stands = scene.unseen_radiates && is_near && least < LEAVES_OF_NONE * flat;
+        let is_unexplained = !stands && unexplained < least * (1.0 - LEAST_GAIN);
         // A near model that is clearly better than a smooth function has the segments right.
         if is_unexplained || is_near && least > CLEAR * unexplained {
+            searches += u32::from(scene.divided_by.is_some());
             division = scene.divided_by.and_then(|paints| choice.divided(&best, paints));
         }
         if is_unexplained {
@@ -154,7 +160,7 @@ pub fn choose(
     }
     let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
     let decisions = near_light.into_iter().chain([Decision::LightModel { chosen, ladder, samples }]).collect();
-    Chosen { near, decisions, searched, division }
+    Chosen { near, decisions, searches, division }
 }
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.

@@ -27,8 +27,8 @@ enum Trial {
 /// Puts the answer of a richer model of light in place of the distant one if held-out surface asks for it; the distant one is
 /// checked before. Where no model clearly explains the colours, segments may be divided, and the models are tried again. Where none
 /// explains them at all, as in closed rooms that were seen in part, what another sheet covers counts as unseen, what was not seen may
-/// radiate, and they are tried once more. Veiling glare that the near model tells is taken
-/// out of the colours, and the models are tried once more. Changes nothing else.
+/// radiate, and they are tried once more. Veiling glare that the near model tells is taken out of the colours, and they are tried a last
+/// time. Changes nothing else.
 pub fn select_local_light(
     prepared: &mut Prepared,
     found: &mut Factorised,
@@ -44,11 +44,12 @@ pub fn select_local_light(
         let colors = Colors { lit_weight, ..prepared.colors() };
         let (mesh, rays) = (&prepared.mesh, &prepared.scene);
         let unseen_radiates = trial == Trial::UnseenRadiates;
-        let divided_by = (trial == Trial::First && run.plan.fits_local_light()).then_some(paints);
+        // As segmented, divided, and the final one.
+        let divided_by = (trial == Trial::First && run.plan.fits_local_light(3)).then_some(paints);
         let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps, divided_by };
         let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
-        if chosen.searched {
-            run.plan.local_light_done();
+        if chosen.searches > 0 {
+            run.plan.local_light_done(chosen.searches);
         }
         chosen
     };
@@ -72,7 +73,7 @@ pub fn select_local_light(
         }
     }
     // Glare of the lens, and all of it again without.
-    let looks_for_veil = tuning.veil && run.plan.fits_local_light();
+    let looks_for_veil = tuning.veil && run.plan.fits_local_light(1);
     if let Some(near) = explained(&chosen).filter(|_| looks_for_veil) {
         let (veil, mut share) = near_veil(prepared, &near.irradiance);
         if share.chosen > 0.0 {
