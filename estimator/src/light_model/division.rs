@@ -1,9 +1,10 @@
 //! Segments that creases should have divided. Where a wall meets a table, light can make two paints look alike; lit colours alone do
 //! not tell, held-out surface under a model of light does.
 
+use crate::mesh::cells::facing;
 use crate::segmentation::materials::{Paint, materials};
 use firmware_config::tuning::SegmentationTuning;
-use glam::DVec3;
+use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
 
@@ -22,9 +23,8 @@ impl Division {
     pub fn by_facing(mesh: &Mesh, segment: &[u32]) -> Self {
         let mut parts = BTreeMap::new();
         let mut of = Vec::new();
-        let part_of = |(segment, normal): (&u32, &glam::Vec3)| {
-            let axis = normal.abs().max_position();
-            *parts.entry((*segment, axis, normal[axis] < 0.0)).or_insert_with(|| {
+        let part_of = |(segment, normal): (&u32, &Vec3)| {
+            *parts.entry((*segment, facing(*normal))).or_insert_with(|| {
                 of.push(*segment);
                 of.len() as u32 - 1
             })
@@ -40,12 +40,8 @@ impl Division {
         self.of.iter().enumerate().for_each(|(part, segment)| members.entry(*segment).or_default().push(part));
         let (mut joined, mut of) = (vec![0; self.of.len()], Vec::new());
         for (segment, parts) in members {
-            let paint = |p: &usize| {
-                let log_albedo = DVec3::from_array(albedo[*p].map(libm::log));
-                let paint = Paint { log_albedo, seen: weight[*p], glossy: false };
-                (weight[*p] > 0.0 && log_albedo.is_finite()).then_some(paint)
-            };
-            let paints: Vec<Option<Paint>> = parts.iter().map(paint).collect();
+            let paints: Vec<Option<Paint>> =
+                parts.iter().map(|p| Paint::known(albedo[*p], weight[*p], false)).collect();
             let labels = materials(&paints, tuning);
             let largest = (0..parts.len()).max_by(|a, b| weight[parts[*a]].total_cmp(&weight[parts[*b]])).unwrap_or(0);
             let mut names = BTreeMap::new();
@@ -64,7 +60,6 @@ impl Division {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     #[test]
     fn parts_of_like_albedo_are_joined_again_within_their_segment() {

@@ -1,6 +1,7 @@
 //! The vertices that a model of light is fitted to, and those that are held out to judge it by.
 
 use crate::factorisation::Colors;
+use crate::mesh::cells::facing;
 use crate::numerics::random::hash;
 use crate::numerics::robust::{median, segment_medians};
 use glam::{IVec3, Vec3};
@@ -63,13 +64,10 @@ impl Samples {
                 samples.segment.push(segment);
                 let seen = f64::from(colors.lit_weight[i].min(1.0) * vertex_weight[i]);
                 samples.weight.push(stride as f64 * seen);
-                let (cell, normal) = (block.cell(mesh.positions[i]), mesh.normals[i]);
+                let cell = block.cell(mesh.positions[i]);
                 samples.held_out.push(Blocks::held_out(cell));
-                let axis = normal.abs().max_position();
                 let next = patches.len() as u32;
-                samples
-                    .patch
-                    .push(*patches.entry((segment, cell.to_array(), axis, normal[axis] < 0.0)).or_insert(next));
+                samples.patch.push(*patches.entry((segment, cell.to_array(), facing(mesh.normals[i]))).or_insert(next));
                 samples.color.push(colors.lit_color[i].to_array().map(f64::from));
             }
             let of = &samples.color[samples.color.len() - vertices.len().div_ceil(stride)..];

@@ -63,6 +63,13 @@ fn seen(paint: &Option<Paint>) -> f64 {
 }
 
 impl Paint {
+    /// `None` where nothing was seen, or a channel has no logarithm.
+    #[must_use]
+    pub fn known(albedo: [f64; 3], seen: f64, glossy: bool) -> Option<Self> {
+        let log_albedo = DVec3::from_array(albedo.map(libm::log));
+        (seen > 0.0 && log_albedo.is_finite()).then_some(Self { log_albedo, seen, glossy })
+    }
+
     fn joined(self, other: Self) -> Self {
         let seen = self.seen + other.seen;
         let share = if seen > 0.0 { other.seen / seen } else { 0.5 };

@@ -93,11 +93,7 @@ pub fn name_materials(prepared: &mut Prepared, answer: &mut Answer, config: &Est
         seen[*s as usize] += if *weight > 0.0 { 1.0 } else { 0.0 };
     }
     let albedo = &answer.found.solution.albedo;
-    let paint = |(s, a): (usize, &[f64; 3])| {
-        let log_albedo = DVec3::from_array(a.map(libm::log));
-        let paint = Paint { log_albedo, seen: seen[s], glossy: answer.gloss[s].significant };
-        (seen[s] > 0.0 && log_albedo.is_finite()).then_some(paint)
-    };
+    let paint = |(s, a): (usize, &[f64; 3])| Paint::known(*a, seen[s], answer.gloss[s].significant);
     let paints: Vec<Option<Paint>> = albedo.iter().enumerate().map(paint).collect();
     let materials = materials(&paints, &config.tuning.segmentation);
     let count = materials.iter().max().map_or(0, |m| *m as usize + 1);
