@@ -8,8 +8,7 @@ use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, mean, segment_albedo};
 use crate::light_model::lamps::{self, Sphere};
-use crate::light_model::samples::{self, Samples};
-use crate::light_model::search::Search;
+use crate::light_model::samples::Samples;
 use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
@@ -25,13 +24,11 @@ use recordings::types::Mesh;
 
 /// Bands of the light beyond the scene in near models.
 const BANDS: usize = 5;
-/// Bands while a lamp is looked for.
-const SEARCH_BANDS: usize = 3;
 /// Regularisation of the light beyond the scene while models are compared, and those that the chosen one is solved with.
-const REGULARISATION: f64 = 1e-2;
+pub(super) const REGULARISATION: f64 = 1e-2;
 const REGULARISATIONS: [f64; 3] = [1e-1, 1e-2, 1e-3];
 /// A weaker regularisation must lower the held-out error by this share.
-const WORTHWHILE: f64 = 0.01;
+pub(super) const WORTHWHILE: f64 = 0.01;
 /// A near model must leave less than this share of what distant light leaves in the means of patches. Gloss, which depends on where
 /// the camera is, can be explained by lamps in part; lamps explain more.
 const NEAR_LEAVES: f64 = 0.65;
@@ -42,12 +39,9 @@ const LEAVES_OF_NONE: f64 = 0.35;
 const UNQUESTIONED: f64 = 0.03;
 /// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
 const CLEAR: f64 = 0.5;
-/// Lamps at most.
-const MAX_LAMPS: usize = 4;
-/// Radius of a lamp that was not seen, as a share of its distance from the scene's centre.
-const LAMP_RADIUS: f32 = 0.05;
-/// A lamp this many scene sizes away is at infinity.
-const INFINITE: f32 = 1e3;
+/// A clipped piece under a lamp is a source if without it, reflecting what arrives there, this many times as much is unexplained. What
+/// lamps light most is clipped in every picture, and its light stands in for errors of theirs.
+const REFLECTS: f64 = 1.2;
 /// Light that is not secondary is not scaled by less than this where secondary light is nearly all there is.
 const MIN_REST: f64 = 0.1;
 /// What was not seen is taken to bring its whole radiance somewhere: hidden behind furniture, where hardly any of it arrives, it would
@@ -165,15 +159,19 @@ pub fn choose(
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.
 #[derive(Clone)]
-struct Model {
-    lamps: Vec<Sphere>,
-    emitters: Vec<usize>,
-    solved: Solved,
-    blocks: Blocks,
+pub(super) struct Model {
+    /// Lamps.
+    pub lamps: Vec<Sphere>,
+    /// Emitting pieces, by number.
+    pub emitters: Vec<usize>,
+    /// Light and albedos.
+    pub solved: Solved,
+    /// Errors of held-out blocks.
+    pub blocks: Blocks,
 }
 
 impl Model {
-    fn kind(&self) -> LightModel {
+    pub fn kind(&self) -> LightModel {
         match (self.lamps.is_empty(), self.emitters.is_empty()) {
             (true, true) => LightModel::Secondary,
             (false, true) => LightModel::Lamps,
@@ -183,8 +181,17 @@ impl Model {
     }
 }
 
+/// A model at every vertex.
+struct Filled {
+    model: Model,
+    /// Over π: `[vertex]`.
+    irradiance: Vec<Vec3>,
+    /// Its secondary part.
+    secondary: Vec<Vec3>,
+}
+
 /// The values of [`Rows`].
-struct Columns {
+pub(super) struct Columns {
     coefficients: usize,
     columns: usize,
     shared: Vec<f32>,
@@ -193,20 +200,22 @@ struct Columns {
 }
 
 impl Columns {
-    fn rows<'a>(&'a self, samples: &'a Samples) -> Rows<'a> {
+    /// Rows of these samples.
+    pub fn rows<'a>(&'a self, samples: &'a Samples) -> Rows<'a> {
         let Self { coefficients, columns, ref shared, ref secondary, ref least_brought } = *self;
         Rows { samples, coefficients, columns, shared, secondary, least_brought }
     }
 }
 
-struct Choice<'a> {
-    scene: &'a Scene<'a>,
-    traced: &'a Traced,
+/// A choice that is being made.
+pub(super) struct Choice<'a> {
+    pub scene: &'a Scene<'a>,
+    pub traced: &'a Traced,
     tuning: &'a FactorisationTuning,
-    samples: Samples,
-    pieces: Vec<Piece>,
+    pub samples: Samples,
+    pub pieces: Vec<Piece>,
     /// Pieces from this one on were not seen: they radiate besides what is taken from around them.
-    unseen: usize,
+    pub unseen: usize,
     /// Form factors of the pieces: `[piece][sample]`.
     piece_columns: Vec<Vec<f32>>,
     /// What every surface radiates, as observed or from around: `[vertex]`.
@@ -259,7 +268,7 @@ impl<'a> Choice<'a> {
     }
 
     /// Columns of (N5) with these sources, in `bands` bands.
-    fn columns(&self, bands: usize, emitters: &[usize], lamps: &[Sphere]) -> Columns {
+    pub fn columns(&self, bands: usize, emitters: &[usize], lamps: &[Sphere]) -> Columns {
         let Scene { mesh, rays, .. } = *self.scene;
         let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &self.samples.vertex, l);
         let lamps: Vec<Vec<f32>> = lamps.iter().map(lamp).collect();
@@ -283,7 +292,8 @@ impl<'a> Choice<'a> {
         BANDS.min(self.traced.bands)
     }
 
-    fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
+    /// The model with these sources.
+    pub fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
         let solved = solve::solve(&self.columns(self.bands(), emitters, lamps).rows(&self.samples), regularisation);
         let blocks = held_out::errors(&self.samples, |n| solved.irradiance[n]);
         Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
@@ -328,84 +338,6 @@ impl<'a> Choice<'a> {
         kept.unwrap_or(model)
     }
 
-    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
-    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss.
-    fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
-        let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
-        let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
-        let mut best = solved(&[], &[]);
-        note(&best);
-        if self.unseen < self.pieces.len() {
-            let patches: Vec<usize> = (self.unseen..self.pieces.len()).collect();
-            let next = solved(&patches, &[]);
-            if is_better(&next.blocks, &best.blocks) {
-                best = next;
-            }
-        }
-        if !self.scene.seen_lamps.is_empty() {
-            let next = solved(&best.emitters, self.scene.seen_lamps);
-            // Their places are told already: they need not explain much to be there.
-            if mean(&next.blocks) < mean(&best.blocks) {
-                best = next;
-                note(&best);
-            }
-        }
-        loop {
-            let with = |p: usize| {
-                let mut emitters = best.emitters.clone();
-                emitters.push(p);
-                solved(&emitters, &best.lamps)
-            };
-            let others: Vec<usize> = (0..self.unseen).filter(|p| !best.emitters.contains(p)).collect();
-            let tried: Vec<Model> = others.into_par_iter().map(with).collect();
-            let next = tried.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
-            let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
-            best = next;
-        }
-        if !best.emitters.is_empty() {
-            note(&best);
-        }
-        while best.lamps.len() < MAX_LAMPS {
-            let Some(next) = self.with_lamp(&best) else { break };
-            if !is_better(&next.blocks, &best.blocks) {
-                break;
-            }
-            best = next;
-            note(&best);
-        }
-        if best.lamps.is_empty() {
-            return best;
-        }
-        // A lamp that was not there yet may have been taken for emission.
-        for p in best.emitters.clone().into_iter().filter(|p| *p < self.unseen) {
-            let emitters: Vec<usize> = best.emitters.iter().copied().filter(|e| *e != p).collect();
-            let without = solved(&emitters, &best.lamps);
-            if is_better(&best.blocks, &without.blocks) {
-                continue;
-            }
-            best = without;
-            note(&best);
-        }
-        best
-    }
-
-    /// The model with one more lamp where it fits best; `None` if it fits as well at infinity.
-    fn with_lamp(&self, model: &Model) -> Option<Model> {
-        let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), &model.emitters, &model.lamps);
-        let search = Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples));
-        let (low, high) = samples::bounds(self.scene.mesh);
-        let middle = 0.5 * (low + high);
-        let center = search.best_place()?;
-        let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
-        let far = middle + (center - middle).normalize_or_zero() * (INFINITE * low.distance(high));
-        let solved = |center: Vec3| {
-            let lamps: Vec<Sphere> = model.lamps.iter().copied().chain([sphere(center)]).collect();
-            self.solved(&model.emitters, &lamps, REGULARISATION)
-        };
-        let (near, distant) = rayon::join(|| solved(center), || solved(far));
-        is_better(&near.blocks, &distant.blocks).then_some(near)
-    }
-
     /// Irradiance over π of all vertices but for secondary light.
     fn direct_light(&self, model: &Model, columns: &[Vec<f32>]) -> Vec<[f64; 3]> {
         let (all, used) = (self.traced.bands * self.traced.bands, self.bands() * self.bands());
@@ -418,40 +350,26 @@ impl<'a> Choice<'a> {
         (0..self.traced.vertices()).into_par_iter().map(at).collect()
     }
 
-    /// The chosen model at every vertex, what was not seen radiating as the model says.
+    /// The chosen model at every vertex, what was not seen and what is clipped radiating as the model says.
     fn finished(&mut self, model: Model, found: &Factorised) -> Near {
-        let Scene { mesh, rays, colors, .. } = *self.scene;
-        let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
-        let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
-        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l);
-        let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
-        let mut model = model;
-        let (mut irradiance, mut secondary) = (Vec::new(), Vec::new());
-        for fill in 0..=FILLS {
-            let direct = self.direct_light(&model, &columns);
-            let radiance = self.radiance_without(&model.emitters);
-            let reflected = |i: usize| secondary::secondary(self.traced, &radiance, i);
-            secondary = (0..self.traced.vertices()).into_par_iter().map(reflected).collect::<Vec<Vec3>>();
-            let total = |(d, s): (&[f64; 3], &Vec3)| (Vec3::from_array(d.map(|x| x as f32)) + *s).max(Vec3::ZERO);
-            irradiance = direct.iter().zip(&secondary).map(total).collect();
-            if fill == FILLS {
-                break;
-            }
-            for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
-                let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
-                let reflected = Vec3::from_array(albedo) * *irradiance;
-                if colors.lit_weight[i] <= 0.0 {
-                    *radiance = reflected;
-                } else if colors.clipped[i] {
-                    *radiance = colors.lit_color[i].max(reflected);
+        let mut filled = self.filled(model);
+        // What shines under a lamp may have been taken for a source.
+        if !filled.model.lamps.is_empty() {
+            let seen = filled.model.emitters.iter().copied().filter(|p| *p < self.unseen);
+            for p in seen.collect::<Vec<_>>() {
+                let radiance = self.radiance.clone();
+                let mut without = filled.model.clone();
+                without.emitters.retain(|e| *e != p);
+                let without = self.regularised(without);
+                let without = self.filled(without);
+                if mean(&without.model.blocks) > REFLECTS * mean(&filled.model.blocks) {
+                    self.radiance = radiance;
+                } else {
+                    filled = without;
                 }
             }
-            let next = self.regularised(model.clone());
-            if mean(&next.blocks) > RUN_AWAY * mean(&model.blocks) {
-                break;
-            }
-            model = next;
         }
+        let Filled { model, irradiance, secondary } = filled;
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
         for (p, radiance) in model.emitters.iter().zip(&model.solved.light[used..]) {
@@ -472,6 +390,42 @@ impl<'a> Choice<'a> {
             ..found.solution.clone()
         };
         self.near(solution, irradiance, &secondary, model.solved.scale_deviation, local)
+    }
+
+    /// Takes the radiance of what was not seen and of what is clipped from the model, and solves it again with that.
+    fn filled(&mut self, mut model: Model) -> Filled {
+        let Scene { mesh, rays, colors, .. } = *self.scene;
+        let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
+        let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l);
+        let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
+        let mut fill = 0;
+        loop {
+            let direct = self.direct_light(&model, &columns);
+            let radiance = self.radiance_without(&model.emitters);
+            let reflected = |i: usize| secondary::secondary(self.traced, &radiance, i);
+            let secondary: Vec<Vec3> = (0..self.traced.vertices()).into_par_iter().map(reflected).collect();
+            let total = |(d, s): (&[f64; 3], &Vec3)| (Vec3::from_array(d.map(|x| x as f32)) + *s).max(Vec3::ZERO);
+            let irradiance: Vec<Vec3> = direct.iter().zip(&secondary).map(total).collect();
+            if fill == FILLS {
+                return Filled { model, irradiance, secondary };
+            }
+            for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
+                let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
+                let reflected = Vec3::from_array(albedo) * *irradiance;
+                if colors.lit_weight[i] <= 0.0 {
+                    *radiance = reflected;
+                } else if colors.clipped[i] {
+                    *radiance = colors.lit_color[i].max(reflected);
+                }
+            }
+            let next = self.regularised(model.clone());
+            if mean(&next.blocks) > RUN_AWAY * mean(&model.blocks) {
+                return Filled { model, irradiance, secondary };
+            }
+            model = next;
+            fill += 1;
+        }
     }
 
     /// Light as a smooth function of position and normal; what is exported as light is its mean.

@@ -7,6 +7,7 @@ pub mod choose;
 pub mod covered;
 pub mod division;
 mod emitters;
+mod growth;
 mod held_out;
 pub mod lamps;
 mod samples;

@@ -16,6 +16,7 @@ use recordings::types::Mesh;
 use std::sync::Arc;
 
 const LAMP: Sphere = Sphere { center: Vec3::new(0.62, 0.55, 0.7), radius: 0.03 };
+const OTHER_LAMP: Sphere = Sphere { center: Vec3::new(0.2, 0.8, 0.5), radius: 0.03 };
 const ALBEDO: [Vec3; 4] =
     [Vec3::new(0.5, 0.35, 0.2), Vec3::new(0.7, 0.7, 0.65), Vec3::new(0.6, 0.2, 0.2), Vec3::new(0.2, 0.4, 0.6)];
 
@@ -66,23 +67,25 @@ fn lit(traced: &Traced, segment: &[u32], direct: &[Vec3]) -> Vec<Vec3> {
 }
 
 fn chosen(direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3) -> (Option<Near>, Vec<Decision>, Vec<u32>) {
-    let (chosen, paint) = chosen_with(|paint| paint, direct);
+    let (chosen, paint) = chosen_with(|paint| paint, f32::INFINITY, direct);
     (chosen.near, chosen.decisions, paint)
 }
 
-/// The choice where `segment_of` tells the segment of every paint; and the paint of every vertex.
+/// The choice where `segment_of` tells the segment of every paint, and colours are `clipped_at` a value; and the paint of every vertex.
 fn chosen_with(
     segment_of: impl Fn(u32) -> u32,
+    clipped_at: f32,
     direct: impl Fn(&Mesh, &RayScene, &Traced, usize) -> Vec3,
 ) -> (Chosen, Vec<u32>) {
     let (mesh, paint) = desk();
     let scene = RayScene::new(&mesh);
     let traced = Arc::new(Tracer { mesh: &mesh, scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()));
     let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
-    let lit_color = lit(&traced, &paint, &direct);
+    let mut lit_color = lit(&traced, &paint, &direct);
+    let clipped: Vec<bool> = lit_color.iter().map(|f| f.max_element() > clipped_at).collect();
+    lit_color.iter_mut().for_each(|f| *f = f.min(Vec3::splat(clipped_at)));
     let segment: Vec<u32> = paint.iter().map(|p| segment_of(*p)).collect();
     let weight = vec![1.0; lit_color.len()];
-    let clipped = vec![false; lit_color.len()];
     let colors = Colors {
         lit_color: &lit_color,
         lit_weight: &weight,
@@ -112,6 +115,10 @@ fn under_the_lamp(mesh: &Mesh, scene: &RayScene, traced: &Traced, i: usize) -> V
     Vec3::new(0.5, 0.4, 0.3) * lamps::form_factor(mesh, scene, i, &LAMP) + Vec3::splat(sky)
 }
 
+fn under_two_lamps(mesh: &Mesh, scene: &RayScene, traced: &Traced, i: usize) -> Vec3 {
+    under_the_lamp(mesh, scene, traced, i) + Vec3::new(0.3, 0.3, 0.3) * lamps::form_factor(mesh, scene, i, &OTHER_LAMP)
+}
+
 #[test]
 fn a_lamp_beside_the_scene_is_found_where_it_is() {
     let (near, decision, segment) = chosen(under_the_lamp);
@@ -129,9 +136,25 @@ fn a_lamp_beside_the_scene_is_found_where_it_is() {
     assert!(median < 0.1, "albedo off by {median}, its scale included");
 }
 
+/// Distance of the nearest lamp.
+fn off(near: &Near, from: &Sphere) -> f32 {
+    near.light.lamps.iter().map(|l| Vec3::from_array(l.center).distance(from.center)).fold(f32::INFINITY, f32::min)
+}
+
+#[test]
+fn two_lamps_are_found_where_they_are_though_what_is_below_one_is_clipped() {
+    for clipped_at in [f32::INFINITY, 1.5] {
+        let (chosen, _) = chosen_with(|paint| paint, clipped_at, under_two_lamps);
+        let near = chosen.near.unwrap_or_else(|| panic!("{:?}", chosen.decisions));
+        let off = [off(&near, &LAMP), off(&near, &OTHER_LAMP)];
+        assert_eq!(near.light.model, LightModel::Lamps, "clipped at {clipped_at}: {:?}", chosen.decisions);
+        assert!(off.iter().all(|o| *o < 0.05), "clipped at {clipped_at}: {off:?} m from their places");
+    }
+}
+
 #[test]
 fn a_desk_and_walls_that_were_taken_for_one_paint_are_divided() {
-    let (chosen, paint) = chosen_with(|paint| if paint == 1 { 0 } else { paint }, under_the_lamp);
+    let (chosen, paint) = chosen_with(|paint| if paint == 1 { 0 } else { paint }, f32::INFINITY, under_the_lamp);
     let Some((Division { part, of }, decision)) = chosen.division else { panic!("{:?}", chosen.decisions) };
     // Most of a part is of one paint.
     let mut count = vec![[0; ALBEDO.len()]; of.len()];

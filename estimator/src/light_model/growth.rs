@@ -1,0 +1,150 @@
+//! Growth of a near model: emitting pieces and lamps are added, placed again and taken away while held-out surface asks for it.
+
+use crate::light_model::choose::{Choice, Model, REGULARISATION, WORTHWHILE};
+use crate::light_model::held_out::{is_better, mean};
+use crate::light_model::lamps::Sphere;
+use crate::light_model::samples;
+use crate::light_model::search::Search;
+use glam::Vec3;
+use rayon::prelude::*;
+use recordings::decision::LightRung;
+
+/// Bands while a lamp is looked for.
+const SEARCH_BANDS: usize = 3;
+/// Lamps at most.
+const MAX_LAMPS: usize = 4;
+/// A lamp in place of a piece is worth placing all lamps again if it leaves no more than this, relative to the piece.
+const PROMISING: f64 = 1.1;
+/// Times that every lamp is placed again at most.
+const PLACINGS: usize = 5;
+/// Radius of a lamp that was not seen, as a share of its distance from the scene's centre.
+const LAMP_RADIUS: f32 = 0.05;
+/// A lamp this many scene sizes away is at infinity.
+const INFINITE: f32 = 1e3;
+
+impl Choice<'_> {
+    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
+    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss.
+    pub(super) fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
+        let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
+        let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
+        let mut best = solved(&[], &[]);
+        note(&best);
+        if self.unseen < self.pieces.len() {
+            let patches: Vec<usize> = (self.unseen..self.pieces.len()).collect();
+            let next = solved(&patches, &[]);
+            if is_better(&next.blocks, &best.blocks) {
+                best = next;
+            }
+        }
+        if !self.scene.seen_lamps.is_empty() {
+            let next = solved(&best.emitters, self.scene.seen_lamps);
+            // Their places are told already: they need not explain much to be there.
+            if mean(&next.blocks) < mean(&best.blocks) {
+                best = next;
+                note(&best);
+            }
+        }
+        loop {
+            let with = |p: usize| {
+                let mut emitters = best.emitters.clone();
+                emitters.push(p);
+                solved(&emitters, &best.lamps)
+            };
+            let others: Vec<usize> = (0..self.unseen).filter(|p| !best.emitters.contains(p)).collect();
+            let tried: Vec<Model> = others.into_par_iter().map(with).collect();
+            let next = tried.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
+            let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
+            best = next;
+        }
+        if !best.emitters.is_empty() {
+            note(&best);
+        }
+        while best.lamps.len() < MAX_LAMPS {
+            let Some(next) = self.with_lamp(&best, best.lamps.len()) else { break };
+            if !is_better(&next.blocks, &best.blocks) {
+                break;
+            }
+            best = next;
+            note(&best);
+        }
+        if best.lamps.is_empty() {
+            return best;
+        }
+        // A lamp that was not there yet may have been taken for emission, …
+        let seen = |m: &Model| m.emitters.iter().copied().filter(|p| *p < self.unseen).collect::<Vec<usize>>();
+        let without = |m: &Model, p: usize| {
+            let emitters: Vec<usize> = m.emitters.iter().copied().filter(|e| *e != p).collect();
+            solved(&emitters, &m.lamps)
+        };
+        for p in seen(&best) {
+            let without = without(&best, p);
+            if !is_better(&best.blocks, &without.blocks) {
+                best = without;
+                note(&best);
+            }
+        }
+        // … and one that another lamp, which then stood for both, left no place for.
+        for p in seen(&best) {
+            if let Some(instead) = self.with_lamp_instead(&without(&best, p), &best) {
+                best = instead;
+                note(&best);
+            }
+        }
+        best
+    }
+
+    /// The model `without` a piece with one more lamp, all lamps placed again, if it explains more than `with` the piece.
+    fn with_lamp_instead(&self, without: &Model, with: &Model) -> Option<Model> {
+        if without.lamps.len() >= MAX_LAMPS {
+            return None;
+        }
+        let instead = self.with_lamp(without, without.lamps.len())?;
+        if mean(&instead.blocks) > PROMISING * mean(&with.blocks) {
+            return None;
+        }
+        let placed = self.placed_again(instead);
+        is_better(&placed.blocks, &with.blocks).then_some(placed)
+    }
+
+    /// Looks for the place of each lamp that was not seen again, the others held, while that explains more: where there are several, the
+    /// first ones were placed as if there were no others.
+    fn placed_again(&self, mut best: Model) -> Model {
+        let seen = if best.lamps.starts_with(self.scene.seen_lamps) { self.scene.seen_lamps.len() } else { 0 };
+        for _ in 0..PLACINGS {
+            let before = mean(&best.blocks);
+            for l in seen..best.lamps.len() {
+                let mut lamps = best.lamps.clone();
+                lamps.remove(l);
+                let without = self.solved(&best.emitters, &lamps, REGULARISATION);
+                if let Some(again) = self.with_lamp(&without, l)
+                    && mean(&again.blocks) < mean(&best.blocks)
+                {
+                    best = again;
+                }
+            }
+            if mean(&best.blocks) > before * (1.0 - WORTHWHILE) {
+                break;
+            }
+        }
+        best
+    }
+
+    /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
+    fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
+        let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), &model.emitters, &model.lamps);
+        let search = Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples));
+        let (low, high) = samples::bounds(self.scene.mesh);
+        let middle = 0.5 * (low + high);
+        let center = search.best_place()?;
+        let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
+        let far = middle + (center - middle).normalize_or_zero() * (INFINITE * low.distance(high));
+        let solved = |center: Vec3| {
+            let mut lamps = model.lamps.clone();
+            lamps.insert(at, sphere(center));
+            self.solved(&model.emitters, &lamps, REGULARISATION)
+        };
+        let (near, distant) = rayon::join(|| solved(center), || solved(far));
+        is_better(&near.blocks, &distant.blocks).then_some(near)
+    }
+}
