@@ -39,8 +39,8 @@ const LEAVES_OF_NONE: f64 = 0.35;
 const UNQUESTIONED: f64 = 0.03;
 /// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
 const CLEAR: f64 = 0.5;
-/// A clipped piece under a lamp is a source if without it, reflecting what arrives there, this many times as much is unexplained. What
-/// lamps light most is clipped in every picture, and its light stands in for errors of theirs.
+/// A clipped piece beside other sources is a source if without it, reflecting what arrives there, this many times as much is unexplained.
+/// What sources light most is clipped in every picture, and its light stands in for errors of theirs.
 const REFLECTS: f64 = 1.2;
 /// Light that is not secondary is not scaled by less than this where secondary light is nearly all there is.
 const MIN_REST: f64 = 0.1;
@@ -352,24 +352,8 @@ impl<'a> Choice<'a> {
 
     /// The chosen model at every vertex, what was not seen and what is clipped radiating as the model says.
     fn finished(&mut self, model: Model, found: &Factorised) -> Near {
-        let mut filled = self.filled(model);
-        // What shines under a lamp may have been taken for a source.
-        if !filled.model.lamps.is_empty() {
-            let seen = filled.model.emitters.iter().copied().filter(|p| *p < self.unseen);
-            for p in seen.collect::<Vec<_>>() {
-                let radiance = self.radiance.clone();
-                let mut without = filled.model.clone();
-                without.emitters.retain(|e| *e != p);
-                let without = self.regularised(without);
-                let without = self.filled(without);
-                if mean(&without.model.blocks) > REFLECTS * mean(&filled.model.blocks) {
-                    self.radiance = radiance;
-                } else {
-                    filled = without;
-                }
-            }
-        }
-        let Filled { model, irradiance, secondary } = filled;
+        let filled = self.filled(model);
+        let Filled { model, irradiance, secondary } = self.without_reflecting(filled);
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
         for (p, radiance) in model.emitters.iter().zip(&model.solved.light[used..]) {
@@ -390,6 +374,32 @@ impl<'a> Choice<'a> {
             ..found.solution.clone()
         };
         self.near(solution, irradiance, &secondary, model.solved.scale_deviation, local)
+    }
+
+    /// Lets clipped pieces reflect that other sources make shine: the one that is missed least first.
+    fn without_reflecting(&mut self, mut best: Filled) -> Filled {
+        loop {
+            let pieces: Vec<usize> = best.model.emitters.iter().copied().filter(|p| *p < self.unseen).collect();
+            if pieces.len() + best.model.lamps.len() < 2 {
+                return best;
+            }
+            let most = REFLECTS * mean(&best.model.blocks);
+            let before = self.radiance.clone();
+            let mut least: Option<(f64, Filled, Vec<Vec3>)> = None;
+            for p in pieces {
+                let mut without = best.model.clone();
+                without.emitters.retain(|e| *e != p);
+                let without = self.regularised(without);
+                let without = self.filled(without);
+                let (error, radiance) =
+                    (mean(&without.model.blocks), std::mem::replace(&mut self.radiance, before.clone()));
+                if error <= least.as_ref().map_or(most, |l| l.0) {
+                    least = Some((error, without, radiance));
+                }
+            }
+            let Some((_, without, radiance)) = least else { return best };
+            (best, self.radiance) = (without, radiance);
+        }
     }
 
     /// Takes the radiance of what was not seen and of what is clipped from the model, and solves it again with that.
