@@ -125,7 +125,7 @@ pub fn choose(
     if questioned && may_search() {
         searches += 1;
         choice.observe();
-        let best = choice.regularised(choice.grown(&mut ladder));
+        let best = choice.regularised(&choice.grown(&mut ladder));
         // Where a smooth function replaces distant light, a model that explains more than both goes before it.
         let replaced = unexplained < mean(&distant) * (1.0 - LEAST_GAIN);
         let mut is_near = replaced && mean(&best.blocks) < unexplained;
@@ -179,6 +179,11 @@ impl Model {
             (false, false) => LightModel::LampsAndEmitters,
         }
     }
+
+    /// Its emitting pieces but for one.
+    pub fn emitters_without(&self, piece: usize) -> Vec<usize> {
+        self.emitters.iter().copied().filter(|p| *p != piece).collect()
+    }
 }
 
 /// A model at every vertex.
@@ -188,6 +193,15 @@ struct Filled {
     irradiance: Vec<Vec3>,
     /// Its secondary part.
     secondary: Vec<Vec3>,
+}
+
+/// A model without a piece that may reflect.
+struct Trial<'a> {
+    filled: Filled,
+    /// Form factors of its sources: `[source][vertex]`.
+    columns: Vec<&'a [f32]>,
+    /// What every surface radiates by it: `[vertex]`.
+    radiance: Vec<Vec3>,
 }
 
 /// The values of [`Rows`].
@@ -258,10 +272,15 @@ impl<'a> Choice<'a> {
         mean(&held_out::errors(patches, |p| means[p]))
     }
 
+    /// Those of some pieces that pictures show.
+    pub fn seen(&self, pieces: &[usize]) -> Vec<usize> {
+        pieces.iter().copied().filter(|p| *p < self.unseen).collect()
+    }
+
     /// Radiance of all surfaces but those that emit.
     fn radiance_without(&self, emitters: &[usize]) -> Vec<Vec3> {
         let mut radiance = self.radiance.clone();
-        for &i in emitters.iter().filter(|p| **p < self.unseen).flat_map(|p| &self.pieces[*p].vertices) {
+        for &i in self.seen(emitters).iter().flat_map(|p| &self.pieces[*p].vertices) {
             radiance[i as usize] = Vec3::ZERO;
         }
         radiance
@@ -315,10 +334,10 @@ impl<'a> Choice<'a> {
         let mut weight = vec![0.0; facing.of.len()];
         let seen = finest.samples.segment.iter().zip(&finest.samples.weight);
         seen.for_each(|(part, w)| weight[*part as usize] += w);
-        let albedo = finest.regularised(best.clone()).solved.albedo;
+        let albedo = finest.regularised(best).solved.albedo;
         let division = facing.joined(&albedo, &weight, paints);
         let divided = self.in_segments(&division);
-        let found = divided.regularised(divided.grown(&mut Vec::new()));
+        let found = divided.regularised(&divided.grown(&mut Vec::new()));
         let decision = Decision::Division {
             segments: self.samples.segments as u32,
             parts: division.of.len() as u32,
@@ -329,17 +348,17 @@ impl<'a> Choice<'a> {
     }
 
     /// The model with the strongest regularisation that a weaker one does not beat.
-    fn regularised(&self, model: Model) -> Model {
+    fn regularised(&self, model: &Model) -> Model {
         let tried: Vec<Model> =
             REGULARISATIONS.par_iter().map(|r| self.solved(&model.emitters, &model.lamps, *r)).collect();
         let kept = tried.into_iter().reduce(|best, next| {
             if mean(&next.blocks) < mean(&best.blocks) * (1.0 - WORTHWHILE) { next } else { best }
         });
-        kept.unwrap_or(model)
+        kept.unwrap_or_else(|| model.clone())
     }
 
     /// Irradiance over π of all vertices but for secondary light.
-    fn direct_light(&self, model: &Model, columns: &[Vec<f32>]) -> Vec<[f64; 3]> {
+    fn direct_light(&self, model: &Model, columns: &[&[f32]]) -> Vec<[f64; 3]> {
         let (all, used) = (self.traced.bands * self.traced.bands, self.bands() * self.bands());
         let light = &model.solved.light;
         let at = |i: usize| {
@@ -352,8 +371,14 @@ impl<'a> Choice<'a> {
 
     /// The chosen model at every vertex, what was not seen and what is clipped radiating as the model says.
     fn finished(&mut self, model: Model, found: &Factorised) -> Near {
-        let filled = self.filled(model);
-        let Filled { model, irradiance, secondary } = self.without_reflecting(filled);
+        let Scene { mesh, rays, .. } = *self.scene;
+        let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
+        let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
+        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l);
+        let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
+        let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
+        let filled = self.filled(model, &columns);
+        let Filled { model, irradiance, secondary } = self.without_reflecting(filled, columns);
         let used = self.bands() * self.bands();
         let mut local = LocalLight { model: model.kind(), ..LocalLight::default() };
         for (p, radiance) in model.emitters.iter().zip(&model.solved.light[used..]) {
@@ -376,50 +401,38 @@ impl<'a> Choice<'a> {
         self.near(solution, irradiance, &secondary, model.solved.scale_deviation, local)
     }
 
-    /// Lets clipped pieces reflect that other sources make shine: the one that is missed least first.
-    fn without_reflecting(&mut self, mut best: Filled) -> Filled {
+    /// Lets clipped pieces reflect that other sources make shine: the one that is missed least first. `columns` are the form factors of
+    /// emitting pieces and lamps, `[source][vertex]`.
+    fn without_reflecting(&mut self, mut best: Filled, mut columns: Vec<&[f32]>) -> Filled {
         loop {
-            let pieces: Vec<usize> = best.model.emitters.iter().copied().filter(|p| *p < self.unseen).collect();
+            let pieces = best.model.emitters.iter().copied().enumerate().filter(|(_, p)| *p < self.unseen);
+            let pieces: Vec<(usize, usize)> = pieces.collect();
             if pieces.len() + best.model.lamps.len() < 2 {
                 return best;
             }
             let most = REFLECTS * mean(&best.model.blocks);
             let before = self.radiance.clone();
-            let mut least: Option<(f64, Filled, Vec<Vec3>)> = None;
-            for p in pieces {
-                let mut without = best.model.clone();
-                without.emitters.retain(|e| *e != p);
-                let without = self.regularised(without);
-                let without = self.filled(without);
-                let (error, radiance) =
-                    (mean(&without.model.blocks), std::mem::replace(&mut self.radiance, before.clone()));
-                if error <= least.as_ref().map_or(most, |l| l.0) {
-                    least = Some((error, without, radiance));
+            let mut least: Option<Trial> = None;
+            for (at, p) in pieces {
+                let mut columns = columns.clone();
+                columns.remove(at);
+                let without = Model { emitters: best.model.emitters_without(p), ..best.model.clone() };
+                let filled = self.filled(self.regularised(&without), &columns);
+                let radiance = std::mem::replace(&mut self.radiance, before.clone());
+                if mean(&filled.model.blocks) <= least.as_ref().map_or(most, |l| mean(&l.filled.model.blocks)) {
+                    least = Some(Trial { filled, columns, radiance });
                 }
             }
-            let Some((_, without, radiance)) = least else { return best };
-            (best, self.radiance) = (without, radiance);
+            let Some(trial) = least else { return best };
+            (best, columns, self.radiance) = (trial.filled, trial.columns, trial.radiance);
         }
     }
 
-    /// Takes the radiance of what was not seen and of what is clipped from the model, and solves it again with that.
-    fn filled(&mut self, mut model: Model) -> Filled {
-        let Scene { mesh, rays, colors, .. } = *self.scene;
-        let every: Vec<u32> = (0..self.traced.vertices() as u32).collect();
-        let emitter = |p: &usize| emitters::form_factors(mesh, rays, self.traced, &self.pieces[*p], &every);
-        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &every, l);
-        let columns: Vec<Vec<f32>> = model.emitters.iter().map(emitter).chain(model.lamps.iter().map(lamp)).collect();
-        let mut fill = 0;
-        loop {
-            let direct = self.direct_light(&model, &columns);
-            let radiance = self.radiance_without(&model.emitters);
-            let reflected = |i: usize| secondary::secondary(self.traced, &radiance, i);
-            let secondary: Vec<Vec3> = (0..self.traced.vertices()).into_par_iter().map(reflected).collect();
-            let total = |(d, s): (&[f64; 3], &Vec3)| (Vec3::from_array(d.map(|x| x as f32)) + *s).max(Vec3::ZERO);
-            let irradiance: Vec<Vec3> = direct.iter().zip(&secondary).map(total).collect();
-            if fill == FILLS {
-                return Filled { model, irradiance, secondary };
-            }
+    /// Takes the radiance of what was not seen and of what is clipped from the model, and solves it again with that. `columns` as above.
+    fn filled(&mut self, mut model: Model, columns: &[&[f32]]) -> Filled {
+        let (mut irradiance, mut secondary) = self.arriving(&model, columns);
+        let colors = self.scene.colors;
+        for _ in 0..FILLS {
             for (i, (radiance, irradiance)) in self.radiance.iter_mut().zip(&irradiance).enumerate() {
                 let albedo = model.solved.albedo[colors.segment[i] as usize].map(|a| a.clamp(0.0, 1.0) as f32);
                 let reflected = Vec3::from_array(albedo) * *irradiance;
@@ -429,13 +442,24 @@ impl<'a> Choice<'a> {
                     *radiance = colors.lit_color[i].max(reflected);
                 }
             }
-            let next = self.regularised(model.clone());
+            let next = self.regularised(&model);
             if mean(&next.blocks) > RUN_AWAY * mean(&model.blocks) {
-                return Filled { model, irradiance, secondary };
+                break;
             }
             model = next;
-            fill += 1;
+            (irradiance, secondary) = self.arriving(&model, columns);
         }
+        Filled { model, irradiance, secondary }
+    }
+
+    /// Irradiance over π and its secondary part: `[vertex]`.
+    fn arriving(&self, model: &Model, columns: &[&[f32]]) -> (Vec<Vec3>, Vec<Vec3>) {
+        let direct = self.direct_light(model, columns);
+        let radiance = self.radiance_without(&model.emitters);
+        let reflected = |i: usize| secondary::secondary(self.traced, &radiance, i);
+        let secondary: Vec<Vec3> = (0..self.traced.vertices()).into_par_iter().map(reflected).collect();
+        let total = |(d, s): (&[f64; 3], &Vec3)| (Vec3::from_array(d.map(|x| x as f32)) + *s).max(Vec3::ZERO);
+        (direct.iter().zip(&secondary).map(total).collect(), secondary)
     }
 
     /// Light as a smooth function of position and normal; what is exported as light is its mean.

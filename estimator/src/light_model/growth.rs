@@ -24,7 +24,8 @@ const INFINITE: f32 = 1e3;
 
 impl Choice<'_> {
     /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
-    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss.
+    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss, and puts lamps in place
+    /// of pieces where they explain more.
     pub(super) fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
         let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
         let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
@@ -72,21 +73,16 @@ impl Choice<'_> {
             return best;
         }
         // A lamp that was not there yet may have been taken for emission, …
-        let seen = |m: &Model| m.emitters.iter().copied().filter(|p| *p < self.unseen).collect::<Vec<usize>>();
-        let without = |m: &Model, p: usize| {
-            let emitters: Vec<usize> = m.emitters.iter().copied().filter(|e| *e != p).collect();
-            solved(&emitters, &m.lamps)
-        };
-        for p in seen(&best) {
-            let without = without(&best, p);
+        for p in self.seen(&best.emitters) {
+            let without = solved(&best.emitters_without(p), &best.lamps);
             if !is_better(&best.blocks, &without.blocks) {
                 best = without;
                 note(&best);
             }
         }
         // … and one that another lamp, which then stood for both, left no place for.
-        for p in seen(&best) {
-            if let Some(instead) = self.with_lamp_instead(&without(&best, p), &best) {
+        for p in self.seen(&best.emitters) {
+            if let Some(instead) = self.with_lamp_instead(&best, p) {
                 best = instead;
                 note(&best);
             }
@@ -94,33 +90,41 @@ impl Choice<'_> {
         best
     }
 
-    /// The model `without` a piece with one more lamp, all lamps placed again, if it explains more than `with` the piece.
-    fn with_lamp_instead(&self, without: &Model, with: &Model) -> Option<Model> {
-        if without.lamps.len() >= MAX_LAMPS {
+    /// The model with one more lamp in place of a piece, all lamps placed again, if that explains more.
+    fn with_lamp_instead(&self, model: &Model, piece: usize) -> Option<Model> {
+        if model.lamps.len() >= MAX_LAMPS {
             return None;
         }
-        let instead = self.with_lamp(without, without.lamps.len())?;
-        if mean(&instead.blocks) > PROMISING * mean(&with.blocks) {
+        let without = self.solved(&model.emitters_without(piece), &model.lamps, REGULARISATION);
+        let instead = self.with_lamp(&without, without.lamps.len())?;
+        if mean(&instead.blocks) > PROMISING * mean(&model.blocks) {
             return None;
         }
         let placed = self.placed_again(instead);
-        is_better(&placed.blocks, &with.blocks).then_some(placed)
+        is_better(&placed.blocks, &model.blocks).then_some(placed)
     }
 
     /// Looks for the place of each lamp that was not seen again, the others held, while that explains more: where there are several, the
     /// first ones were placed as if there were no others.
     fn placed_again(&self, mut best: Model) -> Model {
-        let seen = if best.lamps.starts_with(self.scene.seen_lamps) { self.scene.seen_lamps.len() } else { 0 };
+        let told = if best.lamps.starts_with(self.scene.seen_lamps) { self.scene.seen_lamps.len() } else { 0 };
+        // Lamps whose search would find what it found, since no other lamp has moved after it.
+        let mut settled = 0;
         for _ in 0..PLACINGS {
             let before = mean(&best.blocks);
-            for l in seen..best.lamps.len() {
+            for l in told..best.lamps.len() {
+                if settled == best.lamps.len() - told {
+                    return best;
+                }
                 let mut lamps = best.lamps.clone();
                 lamps.remove(l);
                 let without = self.solved(&best.emitters, &lamps, REGULARISATION);
                 if let Some(again) = self.with_lamp(&without, l)
                     && mean(&again.blocks) < mean(&best.blocks)
                 {
-                    best = again;
+                    (best, settled) = (again, 1);
+                } else {
+                    settled += 1;
                 }
             }
             if mean(&best.blocks) > before * (1.0 - WORTHWHILE) {
