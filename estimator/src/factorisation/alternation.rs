@@ -1,5 +1,6 @@
 //! Light and segment albedos in turn, for one channel, on the statistics of the segments (Eqs. 10 and 11).
 
+use crate::factorisation::extrapolation::extrapolated;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::solution::DIRECTIONS;
 use crate::factorisation::statistics::{Folds, Statistics};
@@ -9,8 +10,12 @@ use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// The turns have converged when no log albedo changes by more.
-const ALBEDO_TOLERANCE: f64 = 1e-4;
+/// Changes of log albedos and radiance that end the turns: of a solution, and of one that is only compared or weighted by.
+pub(super) const EXACT: f64 = 1e-4;
+pub(super) const ROUGH: f64 = 1e-3;
+/// What a relative change of the radiance counts beside those of the albedos. Without it, trials of the regularisation on a plain thing end
+/// before light has converged, and the wrong weight wins.
+const OF_RADIANCE: f64 = 0.1;
 /// Maximum number of sweeps of one descent; the next one continues them.
 const SWEEPS: usize = 12;
 /// Descents for light alone.
@@ -75,52 +80,84 @@ impl Alternation {
         dense::times(projection.matrix(), &self.radiance)
     }
 
-    /// Alternates until convergence. The mean radiance, 1, fixes the free factor.
+    /// Alternates until a turn changes albedos and radiance by no more than `tolerance`. The mean radiance, 1, fixes the free factor.
+    /// After every second turn the albedos are extrapolated; the turn after that is taken back if it does not lower the cost.
     pub fn run(
         &mut self,
         statistics: &[Statistics],
         projection: &Projection,
         prior: &Prior,
+        tolerance: f64,
         tuning: &FactorisationTuning,
     ) {
         let total: f64 = statistics.iter().map(|s| s.square).sum();
         if total <= 0.0 {
             return;
         }
+        let mut path = vec![self.albedo.clone()];
+        let mut kept: Option<(Self, f64)> = None;
         for _ in 0..tuning.max_turns {
-            // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
-            let form = LightForm::new(statistics, &self.albedo, projection);
-            form.descend(&prior.penalty(total, tuning), &mut self.radiance);
-            let mean = self.radiance.mean();
-            if mean <= 0.0 || !mean.is_finite() {
-                self.radiance.fill(1.0);
+            let Some(turn) = self.turn(statistics, projection, &prior.penalty(total, tuning)) else { return };
+            if let Some((before, cost)) = kept.take()
+                && turn.cost > cost
+            {
+                *self = before;
+                path = vec![self.albedo.clone()];
+                continue;
+            }
+            if turn.moved < tolerance {
                 return;
             }
-            self.radiance /= mean;
-            let light = self.light(projection);
-            // Eq. (11), as a_u = Σ f E / Σ E².
-            let mut moved = 0.0f64;
-            let predicted = |s: &Statistics| light.dot(&dense::times(&s.gram, &light));
-            let predicted: Vec<f64> = statistics.par_iter().with_min_len(SEGMENTS).map(predicted).collect();
-            for ((s, a), predicted) in statistics.iter().zip(self.albedo.iter_mut()).zip(predicted) {
-                let explained = s.cross.dot(&light);
-                if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
-                    let new = explained / predicted;
-                    moved = moved.max(libm::log(new / *a).abs());
-                    *a = new;
-                }
-            }
-            if moved < ALBEDO_TOLERANCE {
-                break;
+            path.push(self.albedo.clone());
+            if let [first, second, third] = path.as_slice() {
+                kept = Some((self.clone(), turn.cost));
+                self.albedo = extrapolated(first, second, third);
+                path = vec![self.albedo.clone()];
             }
         }
+        if let Some((before, _)) = kept {
+            *self = before;
+        }
+    }
+
+    /// Light for the albedos, then albedos for the light. None without light: it is uniform then.
+    fn turn(&mut self, statistics: &[Statistics], projection: &Projection, penalty: &Penalty) -> Option<Turn> {
+        // Eq. (10) for non-negative radiance, plus the weight of the prior · total · mean of (r − center)².
+        let form = LightForm::new(statistics, &self.albedo, projection);
+        let held = form.held(penalty);
+        let before = self.radiance.clone();
+        form.descend(&held, penalty.center, &mut self.radiance);
+        let mean = self.radiance.mean();
+        if mean <= 0.0 || !mean.is_finite() {
+            self.radiance.fill(1.0);
+            return None;
+        }
+        self.radiance /= mean;
+        let light = self.light(projection);
+        let off = self.radiance.iter().zip(penalty.center.iter()).map(|(r, c)| (r - c) * (r - c));
+        let moved = OF_RADIANCE * (&self.radiance - before).norm() / self.radiance.norm();
+        let mut turn = Turn { moved, cost: held.iter().zip(off).map(|((_, strength), off)| strength * off).sum() };
+        // Eq. (11), as a_u = Σ f E / Σ E².
+        let predicted = |s: &Statistics| light.dot(&dense::times(&s.gram, &light));
+        let predicted: Vec<f64> = statistics.par_iter().with_min_len(SEGMENTS).map(predicted).collect();
+        for ((s, a), predicted) in statistics.iter().zip(self.albedo.iter_mut()).zip(predicted) {
+            let explained = s.cross.dot(&light);
+            if s.weight > 0.0 && predicted > 0.0 && explained > 0.0 {
+                let new = explained / predicted;
+                turn.moved = turn.moved.max(libm::log(new / *a).abs());
+                *a = new;
+                turn.cost -= explained * new;
+            }
+        }
+        Some(turn)
     }
 
     /// Light for the albedos as they are, of which `form` is made.
     pub fn light_alone(&mut self, form: &LightForm, prior: &Prior, tuning: &FactorisationTuning) {
         let penalty = prior.penalty(form.total, tuning);
+        let held = form.held(&penalty);
         for _ in 0..LIGHT_TURNS {
-            form.descend(&penalty, &mut self.radiance);
+            form.descend(&held, penalty.center, &mut self.radiance);
         }
     }
 
@@ -128,7 +165,7 @@ impl Alternation {
     pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
         let tried = REGULARISATIONS.par_iter().map(|&regularisation| {
             let mut trial = self.clone();
-            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
+            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
             (regularisation, trial.relative_square_error(&folds.held_out, projection), trial)
         });
         let mut best: Option<(f64, f64, Self)> = None;
@@ -156,6 +193,14 @@ impl Alternation {
         }
         if size > 0.0 { error / size } else { 0.0 }
     }
+}
+
+/// What a turn did.
+struct Turn {
+    /// Largest change of a log albedo, or the share that counts of the relative change of the radiance, if that is more.
+    moved: f64,
+    /// Σ w (f − a E)² plus the penalty, less Σ w f².
+    cost: f64,
 }
 
 /// Σ a² G and Σ a g over the segments; `albedo` is `[segment]`.
@@ -236,15 +281,20 @@ impl<'a> LightForm<'a> {
         Self { gram, cross, projection, products, observability, total }
     }
 
-    /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r.
-    fn descend(&self, Penalty { strength, center, min_observability }: &Penalty, r: &mut DVector<f64>) {
+    /// Observability and strength of the penalty: `[direction]`.
+    fn held(&self, Penalty { strength, min_observability, .. }: &Penalty) -> Vec<(f64, f64)> {
         let least = min_observability * self.observability.iter().copied().fold(0.0, f64::max);
         let held = |(&o, s): (&f64, &f64)| (o, s * (1.0 + least / o.max(1e-4 * least)));
+        self.observability.iter().zip(strength).map(held).collect()
+    }
+
+    /// Lowers the form plus the penalty, over r ≥ 0, by coordinate descent from the given r. `held` is of the penalty.
+    fn descend(&self, held: &[(f64, f64)], center: &DVector<f64>, r: &mut DVector<f64>) {
         let mut gradient = dense::times(&self.gram, &dense::times(self.projection.matrix(), r)) - &self.cross;
         let descent = Descent {
             columns: self.projection.matrix().as_slice(),
             products: self.products.as_slice(),
-            held: &self.observability.iter().zip(strength).map(held).collect::<Vec<_>>(),
+            held,
             center: center.as_slice(),
             gradient: gradient.as_mut_slice(),
             r: r.as_mut_slice(),

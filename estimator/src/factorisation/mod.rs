@@ -7,6 +7,7 @@ pub mod albedo;
 mod alternation;
 pub mod distance_check;
 pub mod drawn_light;
+mod extrapolation;
 mod factorise;
 pub mod held_out;
 pub mod paper_solver;

@@ -1,7 +1,7 @@
 //! Default solver (Eqs. 9–12): non-negative radiance over a few hundred directions and one albedo per segment, found in turn
 //! with robust relative weights.
 
-use crate::factorisation::alternation::{Alternation, FIRST_REGULARISATION, Prior};
+use crate::factorisation::alternation::{Alternation, EXACT, FIRST_REGULARISATION, Prior, ROUGH};
 use crate::factorisation::posterior::posterior;
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
@@ -84,13 +84,13 @@ impl<'a> Channel<'a> {
         let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
         let mut folds = self.folds(&self.weights(&colors, &state.albedo), projection);
         for _ in 1..REWEIGHTINGS {
-            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
+            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
             folds = self.folds(&self.robust_weights(&self.predict(&state, projection), &state.albedo), projection);
         }
         if start.is_none() {
             regularisation = state.choose(&folds, projection, tuning);
         }
-        state.run(&folds.fitted, projection, &Prior::uniform(regularisation), tuning);
+        state.run(&folds.fitted, projection, &Prior::uniform(regularisation), EXACT, tuning);
         let held_out = state.relative_square_error(&folds.held_out, projection);
         let (condition, standard_deviation) = posterior(&folds, projection, &state, regularisation, tuning);
         let light = state.light(projection);
