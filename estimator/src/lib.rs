@@ -100,6 +100,7 @@ pub fn estimate_on(
     // Glare of the lens, and §3.2 again: segments of like albedo are one material.
     let (blocked, bands) = (model.traced.mean_blocked(), model.options.bands);
     if local_light.model == LightModel::Distant && run.plan.materials(blocked, bands) {
+        found = stages::divide_segments(&mut prepared, found, &model.options, config);
         found = stages::remove_veil(&mut prepared, found, &model.options, config);
         found = stages::merge_materials(&mut prepared, found, &model.options, config);
         run.plan.materials_done(blocked, bands);

@@ -33,7 +33,19 @@ pub fn rays(traced: &Traced, held_out: f64, tuning: &ModelSelectionTuning) -> u3
 /// Mean relative error of a factorisation on held-out vertices.
 #[must_use]
 pub fn held_out_error(found: &Factorised, colors: &Colors, tuning: &EstimatorTuning) -> f64 {
-    held_out::mean(&HeldOut::new(colors, tuning).errors(&found.solution.albedo, &found.irradiance))
+    held_out::mean(&held_out_errors(&found.solution.albedo, &found.irradiance, colors, tuning))
+}
+
+/// Relative errors of albedo × irradiance on held-out vertices, by blocks. `albedo` is `[segment][channel]`, `irradiance` over π is
+/// `[vertex]`.
+#[must_use]
+pub fn held_out_errors(
+    albedo: &[[f64; 3]],
+    irradiance: &[Vec3],
+    colors: &Colors,
+    tuning: &EstimatorTuning,
+) -> Vec<BlockError> {
+    HeldOut::new(colors, tuning).errors(albedo, irradiance)
 }
 
 /// True if visibility is ignored: fewer rays are blocked than colours err.

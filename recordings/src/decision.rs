@@ -280,13 +280,13 @@ pub enum Decision {
     },
     /// What keyframes saw beyond the scan, and the recovered light beside it.
     Background(BackgroundLikeness),
-    /// Segments that creases divide, with which a model of light explains more where none clearly explained the colours.
+    /// Segments that creases divide, with which light explains more.
     Division {
         /// Segments by their lit colours.
         segments: u32,
         /// Their parts.
         parts: u32,
-        /// Mean relative error of the best near model on held-out blocks of surface, one albedo a segment.
+        /// Mean relative error on held-out blocks of surface, one albedo a segment: of distant light, or of the best near model.
         held_out_segments: f64,
         /// The same with one albedo a part.
         held_out: f64,

@@ -285,7 +285,7 @@ impl Decision {
                 )
             }
             Self::Division { segments, held_out_segments, held_out, .. } => format!(
-                "mean relative error of the best near model on held-out blocks of surface: {held_out_segments:.4} with an albedo for \
+                "mean relative error on held-out blocks of surface: {held_out_segments:.4} with an albedo for \
                  each of {segments} segments, {held_out:.4} with one for each of their parts that face one way and differ"
             ),
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
@@ -631,7 +631,7 @@ mod tests {
         let divided = Decision::Division { segments: 52, parts: 69, held_out_segments: 0.1473, held_out: 0.1136 };
         assert_eq!(
             line(&divided),
-            "segments | divided into 69 | mean relative error of the best near model on held-out blocks of surface: 0.1473 with \
+            "segments | divided into 69 | mean relative error on held-out blocks of surface: 0.1473 with \
              an albedo for each of 52 segments, 0.1136 with one for each of their parts that face one way and differ | 2 models \
              compared | "
         );

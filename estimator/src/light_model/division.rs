@@ -8,6 +8,9 @@ use glam::Vec3;
 use recordings::types::Mesh;
 use std::collections::BTreeMap;
 
+/// Length of the mean normal of what is flat.
+const FLAT: f64 = 0.95;
+
 /// Parts of segments.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Division {
@@ -25,6 +28,33 @@ impl Division {
         let mut of = Vec::new();
         let part_of = |(segment, normal): (&u32, &Vec3)| {
             *parts.entry((*segment, facing(*normal))).or_insert_with(|| {
+                of.push(*segment);
+                of.len() as u32 - 1
+            })
+        };
+        Self { part: segment.iter().zip(&mesh.normals).map(part_of).collect(), of }
+    }
+
+    /// What is flat of every segment divided by the axis that it faces most, if that is more than `least` of what was seen. Where a
+    /// surface bends, its light tells that it is one. `segment` and `lit_weight` are `[vertex]`.
+    #[must_use]
+    pub fn by_flat_parts(mesh: &Mesh, segment: &[u32], lit_weight: &[f32], least: f64) -> Self {
+        let mut sums: BTreeMap<(u32, usize), (Vec3, f64)> = BTreeMap::new();
+        let seen = |i: usize| lit_weight[i] > 0.0;
+        for i in (0..segment.len()).filter(|&i| seen(i)) {
+            let (normal, count) = sums.entry((segment[i], facing(mesh.normals[i]))).or_default();
+            *normal += mesh.normals[i];
+            *count += 1.0;
+        }
+        let all: f64 = sums.values().map(|s| s.1).sum();
+        let is_flat = |key: &(u32, usize)| {
+            sums.get(key).is_some_and(|(n, count)| *count > least * all && f64::from(n.length()) > FLAT * count)
+        };
+        let mut parts = BTreeMap::new();
+        let mut of = Vec::new();
+        let part_of = |(segment, normal): (&u32, &Vec3)| {
+            let key = (*segment, facing(*normal));
+            *parts.entry((*segment, is_flat(&key).then_some(key.1))).or_insert_with(|| {
                 of.push(*segment);
                 of.len() as u32 - 1
             })
@@ -71,5 +101,22 @@ mod tests {
         let albedo = [[0.5; 3], [0.1; 3], [0.55; 3], [0.5; 3], [0.0; 3], [0.52; 3]];
         let joined = facing.joined(&albedo, &[3.0, 1.0, 2.0, 1.0, 0.0, 1.0], &SegmentationTuning::default());
         assert_eq!(joined, Division { part: vec![0, 1, 0, 2, 0, 2], of: vec![0, 0, 1] });
+    }
+
+    #[test]
+    fn flat_sides_are_parts_and_what_bends_is_one() {
+        // Segment 0: a floor, a wall and one vertex that faces elsewhere; segment 1: an edge that is rounded.
+        let bent =
+            [Vec3::new(0.8, 0.0, 0.6), Vec3::new(1.0, 0.0, 0.0), Vec3::new(0.8, 0.0, -0.6), Vec3::new(0.6, 0.0, 0.8)];
+        let sides = [vec![Vec3::Z; 4], vec![Vec3::X; 4], vec![Vec3::Y]].concat();
+        let normals: Vec<Vec3> = sides.into_iter().chain(bent).collect();
+        let mesh = Mesh { positions: vec![Vec3::ZERO; normals.len()], normals, ..Mesh::default() };
+        let segment = [[0; 9].as_slice(), &[1; 4]].concat();
+        let flat = Division::by_flat_parts(&mesh, &segment, &[1.0; 13], 0.15);
+        assert_eq!(flat, Division { part: vec![0, 0, 0, 0, 1, 1, 1, 1, 2, 3, 3, 3, 3], of: vec![0, 0, 0, 1] });
+        // A wall that nobody saw is no part.
+        let unseen: Vec<f32> = (0..13).map(|i| if (4..8).contains(&i) { 0.0 } else { 1.0 }).collect();
+        let flat = Division::by_flat_parts(&mesh, &segment, &unseen, 0.15);
+        assert_eq!(flat.part[..9], [0, 0, 0, 0, 1, 1, 1, 1, 1]);
     }
 }

@@ -6,6 +6,7 @@ use crate::numerics::robust::median;
 use crate::segmentation::materials::{Paint, materials};
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
+use firmware_config::tuning::FactorisationTuning;
 use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::{DVec3, Vec3};
 use recordings::decision::Decision;
@@ -60,11 +61,15 @@ pub fn merge_materials(
 
 /// Factorises again after the segments have changed, from the light of `last` and the albedos under it.
 pub(super) fn factorised_again(prepared: &Prepared, last: &Factorised, options: &FactorisationOptions) -> Factorised {
-    let paints = paints(prepared, &prepared.segment, prepared.segments, &last.irradiance);
-    let initial = options.tuning.initial_albedo;
-    let albedo = paints.iter().map(|p| p.map_or([initial; 3], |p| p.log_albedo.to_array().map(libm::exp)));
-    let start = last.start_with(albedo.collect());
+    let start = last.start_with(albedos(prepared, &last.irradiance, options.tuning));
     factorise(Arc::clone(&last.transfer.traced), &prepared.colors(), options, Some(start))
+}
+
+/// Albedo of every segment under an irradiance over π, `[vertex]`.
+pub(super) fn albedos(prepared: &Prepared, irradiance: &[Vec3], tuning: &FactorisationTuning) -> Vec<[f64; 3]> {
+    let paints = paints(prepared, &prepared.segment, prepared.segments, irradiance);
+    let albedo = paints.iter().map(|p| p.map(|p| p.log_albedo.to_array().map(libm::exp)));
+    albedo.map(|a| a.unwrap_or([tuning.initial_albedo; 3])).collect()
 }
 
 /// Median albedo of every segment by lit colour and irradiance: `[segment]`; `None` where nothing is known.

@@ -2,6 +2,7 @@
 //! each once; the sweep runs some of them many times.
 
 mod background;
+mod division;
 mod first_answer;
 mod gloss;
 mod hand_over;
@@ -17,6 +18,7 @@ mod texture;
 mod veil;
 mod witnesses;
 
+pub use division::divide_segments;
 pub use first_answer::first_answer;
 pub use gloss::{Answer, remove_gloss};
 pub use hand_over::hand_over;
