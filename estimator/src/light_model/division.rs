@@ -24,15 +24,7 @@ impl Division {
     /// Every segment divided by the axis that its vertices face most. `segment` is `[vertex]`.
     #[must_use]
     pub fn by_facing(mesh: &Mesh, segment: &[u32]) -> Self {
-        let mut parts = BTreeMap::new();
-        let mut of = Vec::new();
-        let part_of = |(segment, normal): (&u32, &Vec3)| {
-            *parts.entry((*segment, facing(*normal))).or_insert_with(|| {
-                of.push(*segment);
-                of.len() as u32 - 1
-            })
-        };
-        Self { part: segment.iter().zip(&mesh.normals).map(part_of).collect(), of }
+        Self::by(segment, |i| facing(mesh.normals[i]))
     }
 
     /// What is flat of every segment divided by the axis that it faces most, if that is more than `least` of what was seen. Where a
@@ -40,26 +32,29 @@ impl Division {
     #[must_use]
     pub fn by_flat_parts(mesh: &Mesh, segment: &[u32], lit_weight: &[f32], least: f64) -> Self {
         let mut sums: BTreeMap<(u32, usize), (Vec3, f64)> = BTreeMap::new();
-        let seen = |i: usize| lit_weight[i] > 0.0;
-        for i in (0..segment.len()).filter(|&i| seen(i)) {
+        for i in (0..segment.len()).filter(|&i| lit_weight[i] > 0.0) {
             let (normal, count) = sums.entry((segment[i], facing(mesh.normals[i]))).or_default();
             *normal += mesh.normals[i];
             *count += 1.0;
         }
         let all: f64 = sums.values().map(|s| s.1).sum();
-        let is_flat = |key: &(u32, usize)| {
-            sums.get(key).is_some_and(|(n, count)| *count > least * all && f64::from(n.length()) > FLAT * count)
-        };
-        let mut parts = BTreeMap::new();
-        let mut of = Vec::new();
-        let part_of = |(segment, normal): (&u32, &Vec3)| {
-            let key = (*segment, facing(*normal));
-            *parts.entry((*segment, is_flat(&key).then_some(key.1))).or_insert_with(|| {
+        let is_flat = |(n, count): &(Vec3, f64)| *count > least * all && f64::from(n.length()) > FLAT * count;
+        Self::by(segment, |i| {
+            let facing = facing(mesh.normals[i]);
+            sums.get(&(segment[i], facing)).is_some_and(is_flat).then_some(facing)
+        })
+    }
+
+    /// Every segment divided by the `side` that its vertices are on, parts numbered in order of their first vertex.
+    fn by<Side: Ord>(segment: &[u32], side: impl Fn(usize) -> Side) -> Self {
+        let (mut parts, mut of) = (BTreeMap::new(), Vec::new());
+        let part_of = |(i, segment): (usize, &u32)| {
+            *parts.entry((*segment, side(i))).or_insert_with(|| {
                 of.push(*segment);
                 of.len() as u32 - 1
             })
         };
-        Self { part: segment.iter().zip(&mesh.normals).map(part_of).collect(), of }
+        Self { part: segment.iter().enumerate().map(part_of).collect(), of }
     }
 
     /// Parts of one segment that have like albedo are one. `albedo` and `weight`, of what was seen, are `[part]`; a part that was not
