@@ -44,7 +44,7 @@ use crate::budget::{Machine, WallClock};
 use crate::factorisation::factorise;
 use crate::specular::Gloss;
 use crate::stages::{Answer, Run};
-use firmware_config::EstimatorConfig;
+use firmware_config::{EstimatorConfig, SolverChoice};
 use recordings::decision::Milestone;
 use recordings::local_light::LightModel;
 use recordings::result::Estimate;
@@ -97,12 +97,14 @@ pub fn estimate_on(
     stages::hand_over(scan, &mut prepared, &mut early, &local_light, None, Milestone::Albedo, &mut run);
     let Answer { mut found, gloss: none } = early;
 
-    // Glare of the lens, and §3.2 again: segments of like albedo are one material.
+    // §3.2 again: segments that creases divide. Glare of the lens. Segments of like albedo are one material.
     let (blocked, bands) = (model.traced.mean_blocked(), model.options.bands);
     if local_light.model == LightModel::Distant && run.plan.materials(blocked, bands) {
-        found = stages::divide_segments(&mut prepared, found, &model.options, config);
-        found = stages::remove_veil(&mut prepared, found, &model.options, config);
-        found = stages::merge_materials(&mut prepared, found, &model.options, config);
+        if config.solver == SolverChoice::Robust {
+            found = stages::divide_segments(&mut prepared, found, &model.options, config);
+            found = stages::remove_veil(&mut prepared, found, &model.options, config);
+            found = stages::merge_materials(&mut prepared, found, &model.options, config);
+        }
         run.plan.materials_done(blocked, bands);
     }
 

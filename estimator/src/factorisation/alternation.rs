@@ -94,10 +94,11 @@ impl Alternation {
         if total <= 0.0 {
             return;
         }
+        let penalty = prior.penalty(total, tuning);
         let mut path = vec![self.albedo.clone()];
         let mut kept: Option<(Self, f64)> = None;
         for _ in 0..tuning.max_turns {
-            let Some(turn) = self.turn(statistics, projection, &prior.penalty(total, tuning)) else { return };
+            let Some(turn) = self.turn(statistics, projection, &penalty) else { return };
             if let Some((before, cost)) = kept.take()
                 && turn.cost > cost
             {

@@ -49,6 +49,15 @@ pub struct Colors<'a> {
 }
 
 impl<'a> Colors<'a> {
+    /// Number of seen vertices: `[segment]`.
+    #[must_use]
+    pub fn seen(&self) -> Vec<f64> {
+        let mut seen = vec![0.0; self.segments];
+        let vertices = self.segment.iter().zip(self.lit_weight).filter(|(_, weight)| **weight > 0.0);
+        vertices.for_each(|(segment, _)| seen[*segment as usize] += 1.0);
+        seen
+    }
+
     /// The same under a transfer.
     #[must_use]
     pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {

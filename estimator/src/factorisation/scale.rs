@@ -55,12 +55,7 @@ pub fn fix(scaled: Scaled, colors: &Colors, tuning: &FactorisationTuning) -> Fix
 /// Scales albedo and light so that the brightest large segment has the same albedo in every solution, per channel: what is
 /// compared and bounced while solving then has one scale. Returns the factor of the albedo.
 pub(super) fn normalise(solution: &mut Solution, colors: &Colors, tuning: &FactorisationTuning) -> DVec3 {
-    let mut seen = vec![0.0f64; colors.segments];
-    for (segment, weight) in colors.segment.iter().zip(colors.lit_weight) {
-        if *weight > 0.0 {
-            seen[*segment as usize] += 1.0;
-        }
-    }
+    let seen = colors.seen();
     let factor = [0, 1, 2].map(|c| {
         let albedo: Vec<f64> = solution.albedo.iter().map(|a| a[c]).collect();
         let factor = tuning.normalised_albedo / brightest_large(&albedo, &seen, tuning);

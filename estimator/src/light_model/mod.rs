@@ -8,7 +8,7 @@ pub mod covered;
 pub mod division;
 mod emitters;
 mod growth;
-mod held_out;
+pub mod held_out;
 pub mod lamps;
 mod samples;
 mod search;

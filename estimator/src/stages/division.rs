@@ -1,13 +1,13 @@
 //! Segments that creases should have divided, under distant light.
 
-use crate::factorisation::held_out::{BlockError, gain, mean};
 use crate::factorisation::{FactorisationOptions, Factorised, Solution, robust_solver};
 use crate::light_model::division::Division;
+use crate::light_model::held_out::{Blocks, is_better, mean};
 use crate::model_selection::held_out_errors;
 use crate::stages::materials::{albedos, factorised_again};
 use crate::stages::prepare::Prepared;
+use firmware_config::EstimatorConfig;
 use firmware_config::tuning::SegmentationTuning;
-use firmware_config::{EstimatorConfig, SolverChoice};
 use recordings::decision::Decision;
 
 /// Parts hold at least this share of what was seen.
@@ -15,8 +15,6 @@ const LEAST: f64 = 0.01;
 /// Parts of one paint differ by less in the level and chroma of their log albedo: light errs most between what faces different ways.
 const LEVEL: f64 = 0.4;
 const CHROMA: f64 = 0.25;
-/// The error must fall by this share, and by more than a standard error.
-const LEAST_GAIN: f64 = 0.02;
 
 /// Divides segments where they turn, as a wall from its table, if an albedo for each part explains held-out surface better. Parts that
 /// come out alike are one again.
@@ -26,26 +24,19 @@ pub fn divide_segments(
     options: &FactorisationOptions,
     config: &EstimatorConfig,
 ) -> Factorised {
-    if options.solver != SolverChoice::Robust {
-        return found;
-    }
     let (segment, segments) = (prepared.segment.clone(), prepared.segments);
     let flat = Division::by_flat_parts(&prepared.mesh, &segment, &prepared.fields.lit_weight, LEAST);
     if flat.of.len() == segments {
         return found;
     }
     let before = held_out_errors(&found.solution.albedo, &found.irradiance, &prepared.colors(), &config.tuning);
-    let mut seen = vec![0.0; flat.of.len()];
-    let parts = flat.part.iter().zip(&prepared.fields.lit_weight).filter(|(_, weight)| **weight > 0.0);
-    parts.for_each(|(part, _)| seen[*part as usize] += 1.0);
     let (solution, _) = tried(prepared, &flat, &found, config);
     let one_paint =
         SegmentationTuning { material_level: LEVEL, material_chroma: CHROMA, ..config.tuning.segmentation.clone() };
-    let division = flat.joined(&solution.albedo, &seen, &one_paint);
+    let division = flat.joined(&solution.albedo, &prepared.colors().seen(), &one_paint);
     if division.of.len() > segments {
         let (_, after) = tried(prepared, &division, &found, config);
-        let gain = gain(&after, &before);
-        if gain.mean > gain.error && mean(&after) < (1.0 - LEAST_GAIN) * mean(&before) {
+        if is_better(&after, &before) {
             prepared.decisions.push(Decision::Division {
                 segments: segments as u32,
                 parts: prepared.segments as u32,
@@ -66,7 +57,7 @@ fn tried(
     division: &Division,
     found: &Factorised,
     config: &EstimatorConfig,
-) -> (Solution, Vec<BlockError>) {
+) -> (Solution, Blocks) {
     (prepared.segment, prepared.segments) = (division.part.clone(), division.of.len());
     let (colors, tuning) = (prepared.colors(), &config.tuning);
     let albedo = albedos(prepared, &found.irradiance, &tuning.factorisation);

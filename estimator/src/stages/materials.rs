@@ -6,8 +6,8 @@ use crate::numerics::robust::median;
 use crate::segmentation::materials::{Paint, materials};
 use crate::stages::gloss::Answer;
 use crate::stages::prepare::Prepared;
+use firmware_config::EstimatorConfig;
 use firmware_config::tuning::FactorisationTuning;
-use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::{DVec3, Vec3};
 use recordings::decision::Decision;
 use std::sync::Arc;
@@ -25,9 +25,6 @@ pub fn merge_materials(
     options: &FactorisationOptions,
     config: &EstimatorConfig,
 ) -> Factorised {
-    if options.solver != SolverChoice::Robust {
-        return found;
-    }
     let (segment, segments) = (prepared.segment.clone(), prepared.segments);
     let before = held_out_error(&found, &prepared.colors(), &config.tuning);
     let mut best: Option<Factorised> = None;
@@ -93,10 +90,7 @@ fn paints(prepared: &Prepared, segment: &[u32], segments: usize, irradiance: &[V
 /// Names the materials of the answer: segments of like albedo and gloss get one number, one albedo and one gloss, each the mean
 /// by seen vertices. Albedo and light per vertex stay.
 pub fn name_materials(prepared: &mut Prepared, answer: &mut Answer, config: &EstimatorConfig) {
-    let mut seen = vec![0.0; prepared.segments];
-    for (s, weight) in prepared.segment.iter().zip(&prepared.fields.lit_weight) {
-        seen[*s as usize] += if *weight > 0.0 { 1.0 } else { 0.0 };
-    }
+    let seen = prepared.colors().seen();
     let albedo = &answer.found.solution.albedo;
     let paint = |(s, a): (usize, &[f64; 3])| Paint::known(*a, seen[s], answer.gloss[s].significant);
     let paints: Vec<Option<Paint>> = albedo.iter().enumerate().map(paint).collect();

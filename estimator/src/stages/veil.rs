@@ -6,8 +6,8 @@ use crate::factorisation::held_out::{BlockError, mean};
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, Observed, factorise, held_out, robust_solver};
 use crate::numerics::robust::segment_medians;
 use crate::stages::prepare::Prepared;
+use firmware_config::EstimatorConfig;
 use firmware_config::tuning::FactorisationTuning;
-use firmware_config::{EstimatorConfig, SolverChoice};
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::decision::Decision;
@@ -33,7 +33,7 @@ pub fn remove_veil(
     options: &FactorisationOptions,
     config: &EstimatorConfig,
 ) -> Factorised {
-    if options.solver != SolverChoice::Robust || !config.tuning.factorisation.veil {
+    if !config.tuning.factorisation.veil {
         return found;
     }
     let tuning = FactorisationTuning { samples: SAMPLES, ..config.tuning.factorisation.clone() };
