@@ -7,8 +7,8 @@ section! {
     ModelSelectionTuning = "model_selection" {
         /// A level is better if its gain on held-out vertices exceeds this many standard errors of the gain.
         min_significance: f64 = 1.0, [0.0..=100.0], "σ", "";
-        /// A level is better only if it lowers the held-out relative error by more. Source: a tenth of the rounding of 8-bit colours.
-        min_gain: f64 = 0.0002, [0.0..=1.0], "", "";
+        /// A level is better only if it lowers the held-out relative error by more. Source: a tenth of `color_error`.
+        min_gain: f64 = 0.001, [0.0..=1.0], "", "";
         /// Levels without a gain after which no more bands are tried.
         patience: u32 = 2, [1..=9], "levels", "";
         /// Largest relative error of a vertex that is counted.
