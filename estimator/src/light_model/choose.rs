@@ -500,7 +500,9 @@ impl<'a> Choice<'a> {
         emitting().for_each(|i| detail.confidence[*i as usize] = 0.0);
         let answer = Scaled { solution: &mut solution, detail: &mut detail, irradiance: &mut irradiance, deviation };
         let Fixed { factor, decision } = scale::fix(answer, &self.scene.colors, self.tuning);
-        emitting().for_each(|i| detail.albedo[*i as usize] = Vec3::splat(self.tuning.initial_albedo as f32));
+        // What was seen of a source shows no albedo; what was not is surface like the rest.
+        let shows_none = emitting().filter(|i| self.scene.colors.lit_weight[**i as usize] > 0.0);
+        shows_none.for_each(|i| detail.albedo[*i as usize] = Vec3::splat(self.tuning.initial_albedo as f32));
         // Secondary light stays as observed: what else arrives makes up for it.
         let rest = self.rest(&irradiance, secondary, factor);
         solution.scale(DVec3::ONE, rest);
@@ -510,7 +512,7 @@ impl<'a> Choice<'a> {
         Near { solution, detail, irradiance, light, scale: decision }
     }
 
-    /// Segments that no sample tells of get the geometric mean of the others' albedo.
+    /// Segments that no sample tells of get the others' mean albedo, by the surface that was seen of them.
     fn fill_unseen(&self, albedo: &mut [[f64; 3]]) {
         let Samples { segment, weight, .. } = &self.samples;
         let mut seen = vec![0.0; albedo.len()];
@@ -519,8 +521,7 @@ impl<'a> Choice<'a> {
         if total <= 0.0 {
             return;
         }
-        let logs = |c: usize| albedo.iter().zip(&seen).map(|(a, w)| w * libm::log(a[c].max(1e-9))).sum::<f64>();
-        let mean = [0, 1, 2].map(|c| libm::exp(logs(c) / total));
+        let mean = [0, 1, 2].map(|c| albedo.iter().zip(&seen).map(|(a, w)| w * a[c]).sum::<f64>() / total);
         albedo.iter_mut().zip(&seen).filter(|(_, w)| **w <= 0.0).for_each(|(a, _)| *a = mean);
     }
 

@@ -5,6 +5,7 @@ use crate::light_model::held_out::{is_better, mean};
 use crate::light_model::lamps::Sphere;
 use crate::light_model::samples;
 use crate::light_model::search::Search;
+use crate::light_model::solve::Solved;
 use glam::Vec3;
 use rayon::prelude::*;
 use recordings::decision::LightRung;
@@ -31,13 +32,7 @@ impl Choice<'_> {
         let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
         let mut best = solved(&[], &[]);
         note(&best);
-        if self.unseen < self.pieces.len() {
-            let patches: Vec<usize> = (self.unseen..self.pieces.len()).collect();
-            let next = solved(&patches, &[]);
-            if is_better(&next.blocks, &best.blocks) {
-                best = next;
-            }
-        }
+        best = self.with_patches(best);
         if !self.scene.seen_lamps.is_empty() {
             let next = solved(&best.emitters, self.scene.seen_lamps);
             // Their places are told already: they need not explain much to be there.
@@ -59,6 +54,10 @@ impl Choice<'_> {
             best = next;
         }
         if !best.emitters.is_empty() {
+            note(&best);
+        }
+        if let Some(instead) = self.with_lamp_instead_of_patches(&best) {
+            best = instead;
             note(&best);
         }
         while best.lamps.len() < MAX_LAMPS {
@@ -88,6 +87,60 @@ impl Choice<'_> {
             }
         }
         best
+    }
+
+    /// The model with patches that no picture shows, where held-out surface asks for them.
+    fn with_patches(&self, model: Model) -> Model {
+        if self.unseen == self.pieces.len() {
+            return model;
+        }
+        let emitters: Vec<usize> = model.emitters.iter().copied().chain(self.unseen..self.pieces.len()).collect();
+        let next = self.solved(&emitters, &model.lamps, REGULARISATION);
+        if is_better(&next.blocks, &model.blocks) { self.without_idle(next) } else { model }
+    }
+
+    /// Takes away the patches that least is told of, as many as held-out surface does not miss: hidden ones take any radiance.
+    fn without_idle(&self, full: Model) -> Model {
+        let mut best = full.clone();
+        let mut fewer = self.patches(&best).len() / 2;
+        while fewer > 0 {
+            let mut patches = self.patches(&best);
+            patches.truncate(patches.len() - fewer);
+            let most = patches.len() / 2;
+            let emitters = self.seen(&best.emitters).into_iter().chain(patches).collect::<Vec<_>>();
+            let next = self.solved(&emitters, &best.lamps, REGULARISATION);
+            if is_better(&full.blocks, &next.blocks) {
+                fewer /= 2;
+            } else {
+                (best, fewer) = (next, fewer.min(most));
+            }
+        }
+        best
+    }
+
+    /// The patches of a model, those first whose radiance is the most standard deviations.
+    fn patches(&self, model: &Model) -> Vec<usize> {
+        let Solved { light, standard_deviation, .. } = &model.solved;
+        let first = light.len() - model.emitters.len() - model.lamps.len();
+        let sum = |of: &[[f64; 3]], n: usize| of[first + n].iter().sum::<f64>();
+        let told = |n: usize| sum(light, n) / sum(standard_deviation, n).max(f64::MIN_POSITIVE);
+        let patches = model.emitters.iter().enumerate().filter(|(_, p)| **p >= self.unseen);
+        let mut patches: Vec<(f64, usize)> = patches.map(|(n, p)| (told(n), *p)).collect();
+        patches.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        patches.into_iter().map(|(_, p)| p).collect()
+    }
+
+    /// The model with a lamp in place of all patches, and with those that are missed then, if that explains more: patches stand in
+    /// for a lamp that no picture shows.
+    fn with_lamp_instead_of_patches(&self, model: &Model) -> Option<Model> {
+        let seen = self.seen(&model.emitters);
+        if seen.len() == model.emitters.len() || model.lamps.len() >= MAX_LAMPS {
+            return None;
+        }
+        let without = self.solved(&seen, &model.lamps, REGULARISATION);
+        let lit = self.with_lamp(&without, model.lamps.len())?;
+        let found = self.with_patches(lit);
+        (mean(&found.blocks) < mean(&model.blocks)).then_some(found)
     }
 
     /// The model with one more lamp in place of a piece, all lamps placed again, if that explains more.

@@ -34,11 +34,12 @@ const SWEEPS: usize = 300;
 const MIN_OBSERVABILITY: f64 = 5e-3;
 /// Lit colours of neighbouring vertices err together: so many samples' weight counts as one measurement.
 const CORRELATED: f64 = 25.0;
-/// Albedo of the brightest large segment where no secondary light fixes the scale, and its deviation.
+/// Albedo that the brightest [`LARGE`] of the surface has where no secondary light fixes the scale, and its deviation.
 const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
-/// A segment of this share of all weight is large.
-const LARGE: f64 = 0.02;
-/// Albedo of that segment at most.
+/// The share of the surface that bounds the scale. A segment that secondary light alone reaches, of which some radiates more than is
+/// known, has an albedo above 1 at any scale: if such a one counted, light would be told from round to round that none of it is secondary.
+const LARGE: f64 = 0.1;
+/// Albedo of that share at most.
 const MAX_ALBEDO: f64 = 0.95;
 /// Light of one lamp or emitter where it is strongest, against the mean light: deviation of its prior. One that hardly any sample
 /// tells would be taken for any radiance.
@@ -149,8 +150,10 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let (count, dim) = (samples.len(), columns + 1);
     let fitted: Vec<usize> = (0..count).filter(|n| samples.held_out[*n].is_none()).collect();
     let total: f64 = fitted.iter().map(|n| samples.weight[*n]).sum();
-    let brightest = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
-    let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * brightest)).collect();
+    let mut surface = vec![0.0; samples.segments];
+    fitted.iter().for_each(|n| surface[samples.segment[*n] as usize] += samples.weight[*n]);
+    let largest = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
+    let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * largest)).collect();
     let mut irradiance = vec![1.0; count];
     let mut solution = DVector::zeros(dim);
     let mut radiance = DVector::from_element(projection.ncols(), 1.0);
@@ -184,18 +187,19 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             break;
         }
         let (reduced, explained) = statistics.reduced();
+        let brightest = brightest(&inverse, &surface);
         let mut problem = NonNegative {
             cross: &mean * (NORMALISED * total) + explained,
             gram: reduced.clone(),
             projection,
             extras: dim - coefficients,
-            last_at_most: MAX_ALBEDO / statistics.brightest(&inverse),
+            last_at_most: MAX_ALBEDO / brightest,
         };
         problem.gram.ger(NORMALISED * total, &mean, &mean, 1.0);
         let normalised = problem.gram.clone();
-        // Scale: the brightest large segment's albedo is k / b, known beforehand within some deviation.
+        // Scale: the albedo of the brightest surface is k / b, known beforehand within some deviation.
         let noise = CORRELATED * sigma * sigma;
-        let per = statistics.brightest(&inverse) / PRIOR_ALBEDO.1;
+        let per = brightest / PRIOR_ALBEDO.1;
         problem.gram[(columns, columns)] += noise * per * per;
         problem.cross[columns] += noise * per * PRIOR_ALBEDO.0 / PRIOR_ALBEDO.1;
         for (j, most) in strongest.iter().enumerate() {
@@ -246,6 +250,18 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     }
 }
 
+/// 1/b that [`LARGE`] of the surface reaches: `inverse` has the b, `weight` the surface of the segments.
+fn brightest(inverse: &[f64], weight: &[f64]) -> f64 {
+    let mut by_albedo: Vec<(f64, f64)> = inverse.iter().copied().zip(weight.iter().copied()).collect();
+    by_albedo.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut left = LARGE * weight.iter().sum::<f64>();
+    let reached = by_albedo.into_iter().find(|(_, weight)| {
+        left -= weight;
+        left <= 0.0
+    });
+    reached.map_or(f64::MIN_POSITIVE, |(b, _)| 1.0 / b.max(1e-30))
+}
+
 /// Standard deviation of every coefficient: noise variance times the inverse of the system with its prior, which only the
 /// first `coefficients` have.
 fn posterior(mut gram: DMatrix<f64>, noise: f64, prior: f64, coefficients: usize) -> Vec<f64> {
@@ -263,8 +279,6 @@ fn posterior(mut gram: DMatrix<f64>, noise: f64, prior: f64, coefficients: usize
 struct Statistics {
     /// Σ w e²: `[segment]`.
     square: Vec<f64>,
-    /// Σ w: `[segment]`.
-    weight: Vec<f64>,
     /// Σ w e t: `[segment]`.
     cross: Vec<DVector<f64>>,
     /// Σ w e y: `[segment]`.
@@ -279,7 +293,6 @@ impl Statistics {
     fn new(segments: usize, dim: usize) -> Self {
         Self {
             square: vec![0.0; segments],
-            weight: vec![0.0; segments],
             cross: vec![DVector::zeros(dim); segments],
             known: vec![0.0; segments],
             known_cross: DVector::zeros(dim),
@@ -298,13 +311,6 @@ impl Statistics {
             }
         }
         (gram, explained)
-    }
-
-    /// 1/b of the brightest segment that is large.
-    fn brightest(&self, inverse: &[f64]) -> f64 {
-        let weights: f64 = self.weight.iter().sum();
-        let large = self.weight.iter().zip(inverse).filter(|(w, _)| **w >= LARGE * weights);
-        large.map(|(_, b)| 1.0 / b.max(1e-30)).fold(f64::MIN_POSITIVE, f64::max)
     }
 
     /// u of every segment under this light, where there is a sample: `[segment]`.
@@ -334,7 +340,6 @@ impl Hot for OneRow<'_> {
     fn run(self) {
         let Self { statistics, segment, weight, factor, known, row } = self;
         statistics.square[segment] += weight * factor * factor;
-        statistics.weight[segment] += weight;
         statistics.known[segment] += weight * factor * known;
         add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, row);
         if known > 0.0 {
@@ -495,6 +500,41 @@ mod tests {
         let solved = solve(&rows, 1e-3);
         assert_eq!(solved.radiance.len(), directions().len());
         [solved.irradiance[last][0], solved.light[1][0]].map(|x| x / solved.irradiance[0][0])
+    }
+
+    /// A sky and secondary light over surface of albedo ½, and a corner of the same that secondary light alone reaches, `more` of it than
+    /// is known.
+    #[test]
+    fn a_corner_that_unknown_light_reaches_does_not_take_away_all_secondary_light() {
+        let (count, corner) = (400u32, 380);
+        let sky = 0.5 / libm::sqrt(std::f64::consts::PI);
+        let in_corner = |n: u32| n >= corner;
+        let open = |n: u32| if in_corner(n) { 0.0 } else { 0.2 + 0.8 * f64::from(n % 7) / 6.0 };
+        let reflected = |n: u32| 0.05 + 0.25 * f64::from(n % 5) / 4.0;
+        let more = |n: u32| if in_corner(n) { 3.0 } else { 1.0 };
+        let samples = Samples {
+            vertex: (0..count).collect(),
+            segment: (0..count).map(|n| u32::from(in_corner(n))).collect(),
+            weight: vec![1.0; count as usize],
+            held_out: vec![None; count as usize],
+            patch: vec![0; count as usize],
+            color: (0..count).map(|n| [0.5 * (open(n) + more(n) * reflected(n)); 3]).collect(),
+            segments: 2,
+            medians: vec![[0.4; 3], [0.25; 3]],
+        };
+        let shared: Vec<f32> = (0..count).map(|n| (open(n) * sky) as f32).collect();
+        let secondary: Vec<[f64; 3]> = (0..count).map(|n| [reflected(n); 3]).collect();
+        let (coefficients, columns) = (1, 1);
+        let rows = Rows {
+            samples: &samples,
+            coefficients,
+            columns,
+            shared: &shared,
+            secondary: &secondary,
+            least_brought: &[],
+        };
+        let albedo = solve(&rows, 1e-3).albedo[0][0];
+        assert!((albedo - 0.5).abs() < 0.05, "{albedo}");
     }
 
     #[test]
