@@ -47,6 +47,8 @@ const MIN_REST: f64 = 0.1;
 /// What was not seen is taken to bring its whole radiance somewhere: hidden behind furniture, where hardly any of it arrives, it would
 /// else be taken for a blinding light.
 const LEAST_OF_UNSEEN: f64 = 1.0;
+/// Samples that the mean albedo counts as where nobody saw a segment. Two vertices at an edge do not tell of a ceiling.
+const MEAN_COUNTS: f64 = 4.0;
 /// Times that radiance of what was not seen is taken from the model.
 const FILLS: usize = 2;
 /// A fill that multiplies the held-out error by this has run away: a lamp that nearly touches what was not seen makes it outshine
@@ -492,16 +494,20 @@ impl<'a> Choice<'a> {
         deviation: [f64; 3],
         mut light: LocalLight,
     ) -> Near {
-        self.fill_unseen(&mut solution.albedo);
+        let unseen = self.fill_unseen(&mut solution.albedo);
         let transfer_error = self.traced.relative_errors();
         let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error);
         let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
+        let Colors { lit_weight, segment, .. } = self.scene.colors;
+        for (i, albedo) in detail.albedo.iter_mut().enumerate().filter(|(i, _)| lit_weight[*i] <= 0.0) {
+            *albedo = DVec3::from_array(unseen[segment[i] as usize]).as_vec3();
+        }
         let emitting = || light.emitters.iter().flat_map(|e| &e.vertices);
         emitting().for_each(|i| detail.confidence[*i as usize] = 0.0);
         let answer = Scaled { solution: &mut solution, detail: &mut detail, irradiance: &mut irradiance, deviation };
         let Fixed { factor, decision } = scale::fix(answer, &self.scene.colors, self.tuning);
         // What was seen of a source shows no albedo; what was not is surface like the rest.
-        let shows_none = emitting().filter(|i| self.scene.colors.lit_weight[**i as usize] > 0.0);
+        let shows_none = emitting().filter(|i| lit_weight[**i as usize] > 0.0);
         shows_none.for_each(|i| detail.albedo[*i as usize] = Vec3::splat(self.tuning.initial_albedo as f32));
         // Secondary light stays as observed: what else arrives makes up for it.
         let rest = self.rest(&irradiance, secondary, factor);
@@ -512,17 +518,24 @@ impl<'a> Choice<'a> {
         Near { solution, detail, irradiance, light, scale: decision }
     }
 
-    /// Segments that no sample tells of get the others' mean albedo, by the surface that was seen of them.
-    fn fill_unseen(&self, albedo: &mut [[f64; 3]]) {
+    /// Gives segments that no sample tells of the mean albedo of the surface seen. Returns the albedo of what nobody saw: its
+    /// segment's, mixed with the mean as if that were [`MEAN_COUNTS`] samples more, `[segment]`.
+    fn fill_unseen(&self, albedo: &mut [[f64; 3]]) -> Vec<[f64; 3]> {
         let Samples { segment, weight, .. } = &self.samples;
-        let mut seen = vec![0.0; albedo.len()];
-        segment.iter().zip(weight).for_each(|(s, w)| seen[*s as usize] += w);
+        let (mut seen, mut count) = (vec![0.0; albedo.len()], vec![0.0; albedo.len()]);
+        for (s, w) in segment.iter().zip(weight).filter(|(_, w)| **w > 0.0) {
+            seen[*s as usize] += w;
+            count[*s as usize] += 1.0;
+        }
         let total: f64 = seen.iter().sum();
         if total <= 0.0 {
-            return;
+            return albedo.to_vec();
         }
         let mean = [0, 1, 2].map(|c| albedo.iter().zip(&seen).map(|(a, w)| w * a[c]).sum::<f64>() / total);
         albedo.iter_mut().zip(&seen).filter(|(_, w)| **w <= 0.0).for_each(|(a, _)| *a = mean);
+        let mixed =
+            |(a, n): (&[f64; 3], &f64)| [0, 1, 2].map(|c| (n * a[c] + MEAN_COUNTS * mean[c]) / (n + MEAN_COUNTS));
+        albedo.iter().zip(&count).map(mixed).collect()
     }
 
     /// What the light that is not secondary has to be multiplied by, per channel, so that the surfaces get this irradiance on
