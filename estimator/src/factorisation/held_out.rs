@@ -15,7 +15,7 @@ pub fn block(vertex: u32) -> Option<u32> {
     hash(block, 0xf01d).is_multiple_of(FOLDS).then_some(block)
 }
 
-/// Errors of one block: block, their sum, number of vertices.
+/// Errors of one block: block, their sum, number of vertices or weight of the samples.
 pub type BlockError = (u32, f64, f64);
 
 /// Sums errors of vertices by blocks. `errors` are pairs of block and error, ascending by block.
@@ -34,11 +34,11 @@ pub fn by_block(errors: impl IntoIterator<Item = (u32, f64)>) -> Vec<BlockError>
     blocks
 }
 
-/// Mean error over the vertices.
+/// Mean error over all blocks.
 #[must_use]
 pub fn mean(blocks: &[BlockError]) -> f64 {
-    let (sum, count) = blocks.iter().fold((0.0, 0.0), |(s, n), b| (s + b.1, n + b.2));
-    sum / f64::max(count, 1.0)
+    let (sum, weight) = blocks.iter().fold((0.0, 0.0), |(s, w), b| (s + b.1, w + b.2));
+    if weight > 0.0 { sum / weight } else { 0.0 }
 }
 
 /// How much lower the errors are than `others`, over the same blocks.

@@ -2,11 +2,12 @@
 //! surfaces, lamps beside the scene; a smooth function of position and normal where none of them explains more.
 
 use crate::factorisation::albedo::{self, Detail, Evidence};
+use crate::factorisation::held_out::mean;
 use crate::factorisation::scale::{self, Fixed, Scaled};
 use crate::factorisation::{Colors, Factorised, Solution};
 use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
-use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, mean, segment_albedo};
+use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, segment_albedo};
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples::Samples;
 use crate::light_model::secondary;
@@ -309,7 +310,8 @@ impl<'a> Choice<'a> {
         Columns { coefficients, columns, shared, secondary, least_brought }
     }
 
-    fn bands(&self) -> usize {
+    /// SH bands of near models.
+    pub fn bands(&self) -> usize {
         BANDS.min(self.traced.bands)
     }
 
@@ -333,11 +335,8 @@ impl<'a> Choice<'a> {
     fn divided(&self, best: &Model, paints: &SegmentationTuning) -> Option<(Division, Decision)> {
         let facing = Division::by_facing(self.scene.mesh, self.scene.colors.segment);
         let finest = self.in_segments(&facing);
-        let mut weight = vec![0.0; facing.of.len()];
-        let seen = finest.samples.segment.iter().zip(&finest.samples.weight);
-        seen.for_each(|(part, w)| weight[*part as usize] += w);
         let albedo = finest.regularised(best).solved.albedo;
-        let division = facing.joined(&albedo, &weight, paints);
+        let division = facing.joined(&albedo, &finest.samples.surface(|_| true), paints);
         let divided = self.in_segments(&division);
         let found = divided.regularised(&divided.grown(&mut Vec::new()));
         let decision = Decision::Division {
@@ -522,11 +521,9 @@ impl<'a> Choice<'a> {
     /// segment's, mixed with the mean as if that were [`MEAN_COUNTS`] samples more, `[segment]`.
     fn fill_unseen(&self, albedo: &mut [[f64; 3]]) -> Vec<[f64; 3]> {
         let Samples { segment, weight, .. } = &self.samples;
-        let (mut seen, mut count) = (vec![0.0; albedo.len()], vec![0.0; albedo.len()]);
-        for (s, w) in segment.iter().zip(weight).filter(|(_, w)| **w > 0.0) {
-            seen[*s as usize] += w;
-            count[*s as usize] += 1.0;
-        }
+        let (seen, mut count) = (self.samples.surface(|_| true), vec![0.0; albedo.len()]);
+        let samples = segment.iter().zip(weight).filter(|(_, w)| **w > 0.0);
+        samples.for_each(|(s, _)| count[*s as usize] += 1.0);
         let total: f64 = seen.iter().sum();
         if total <= 0.0 {
             return albedo.to_vec();

@@ -1,7 +1,8 @@
 //! Growth of a near model: emitting pieces and lamps are added, placed again and taken away while held-out surface asks for it.
 
+use crate::factorisation::held_out::mean;
 use crate::light_model::choose::{Choice, Model, REGULARISATION, WORTHWHILE};
-use crate::light_model::held_out::{is_better, mean};
+use crate::light_model::held_out::is_better;
 use crate::light_model::lamps::Sphere;
 use crate::light_model::samples;
 use crate::light_model::search::Search;
@@ -24,9 +25,9 @@ const LAMP_RADIUS: f32 = 0.05;
 const INFINITE: f32 = 1e3;
 
 impl Choice<'_> {
-    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces and
-    /// further lamps, all while held-out surface asks for them; takes away pieces at last that it does not miss, and puts lamps in place
-    /// of pieces where they explain more.
+    /// Lets what was not seen radiate more than what is around it, lights the lamps that are seen, then adds emitting pieces, puts a lamp
+    /// in place of what was not seen where that explains more, and adds further lamps, all while held-out surface asks for them; takes away
+    /// pieces at last that it does not miss, and puts lamps in place of pieces where they explain more.
     pub(super) fn grown(&self, ladder: &mut Vec<LightRung>) -> Model {
         let solved = |emitters: &[usize], lamps: &[Sphere]| self.solved(emitters, lamps, REGULARISATION);
         let mut note = |m: &Model| ladder.push(LightRung { model: m.kind(), held_out: mean(&m.blocks) });
@@ -101,18 +102,17 @@ impl Choice<'_> {
 
     /// Takes away the patches that least is told of, as many as held-out surface does not miss: hidden ones take any radiance.
     fn without_idle(&self, full: Model) -> Model {
-        let mut best = full.clone();
-        let mut fewer = self.patches(&best).len() / 2;
+        let (seen, mut best, mut patches) = (self.seen(&full.emitters), full.clone(), self.patches(&full));
+        let mut fewer = patches.len() / 2;
         while fewer > 0 {
-            let mut patches = self.patches(&best);
-            patches.truncate(patches.len() - fewer);
-            let most = patches.len() / 2;
-            let emitters = self.seen(&best.emitters).into_iter().chain(patches).collect::<Vec<_>>();
-            let next = self.solved(&emitters, &best.lamps, REGULARISATION);
+            let kept = &patches[..patches.len() - fewer];
+            let next = self.solved(&[&seen, kept].concat(), &full.lamps, REGULARISATION);
             if is_better(&full.blocks, &next.blocks) {
                 fewer /= 2;
             } else {
-                (best, fewer) = (next, fewer.min(most));
+                fewer = fewer.min(kept.len() / 2);
+                patches = self.patches(&next);
+                best = next;
             }
         }
         best
@@ -121,7 +121,7 @@ impl Choice<'_> {
     /// The patches of a model, those first whose radiance is the most standard deviations.
     fn patches(&self, model: &Model) -> Vec<usize> {
         let Solved { light, standard_deviation, .. } = &model.solved;
-        let first = light.len() - model.emitters.len() - model.lamps.len();
+        let first = self.bands() * self.bands();
         let sum = |of: &[[f64; 3]], n: usize| of[first + n].iter().sum::<f64>();
         let told = |n: usize| sum(light, n) / sum(standard_deviation, n).max(f64::MIN_POSITIVE);
         let patches = model.emitters.iter().enumerate().filter(|(_, p)| **p >= self.unseen);
@@ -134,27 +134,29 @@ impl Choice<'_> {
     /// for a lamp that no picture shows.
     fn with_lamp_instead_of_patches(&self, model: &Model) -> Option<Model> {
         let seen = self.seen(&model.emitters);
-        if seen.len() == model.emitters.len() || model.lamps.len() >= MAX_LAMPS {
+        if seen.len() == model.emitters.len() {
             return None;
         }
-        let without = self.solved(&seen, &model.lamps, REGULARISATION);
-        let lit = self.with_lamp(&without, model.lamps.len())?;
-        let found = self.with_patches(lit);
+        let found = self.with_patches(self.with_lamp_and(&seen, model)?);
         (mean(&found.blocks) < mean(&model.blocks)).then_some(found)
     }
 
     /// The model with one more lamp in place of a piece, all lamps placed again, if that explains more.
     fn with_lamp_instead(&self, model: &Model, piece: usize) -> Option<Model> {
-        if model.lamps.len() >= MAX_LAMPS {
-            return None;
-        }
-        let without = self.solved(&model.emitters_without(piece), &model.lamps, REGULARISATION);
-        let instead = self.with_lamp(&without, without.lamps.len())?;
+        let instead = self.with_lamp_and(&model.emitters_without(piece), model)?;
         if mean(&instead.blocks) > PROMISING * mean(&model.blocks) {
             return None;
         }
         let placed = self.placed_again(instead);
         is_better(&placed.blocks, &model.blocks).then_some(placed)
+    }
+
+    /// One more lamp than the model has, beside these emitters instead of its own, if there may be one more.
+    fn with_lamp_and(&self, emitters: &[usize], model: &Model) -> Option<Model> {
+        if model.lamps.len() >= MAX_LAMPS {
+            return None;
+        }
+        self.with_lamp(&self.solved(emitters, &model.lamps, REGULARISATION), model.lamps.len())
     }
 
     /// Looks for the place of each lamp that was not seen again, the others held, while that explains more: where there are several, the

@@ -1,5 +1,6 @@
 //! How well an irradiance explains the lit colours of surface that was held out.
 
+use crate::factorisation::held_out::{BlockError, mean};
 use crate::light_model::samples::{DARK_FLOOR, Samples};
 use crate::numerics::robust::segment_medians;
 use std::collections::BTreeMap;
@@ -9,15 +10,8 @@ pub const LEAST_GAIN: f64 = 0.02;
 /// Relative errors count up to this.
 const CAPPED: f64 = 1.0;
 
-/// Errors of the blocks that were held out: (block, sum of errors, weight).
-pub type Blocks = Vec<(u32, f64, f64)>;
-
-/// Mean error over all blocks.
-#[must_use]
-pub fn mean(blocks: &Blocks) -> f64 {
-    let (sum, weight) = blocks.iter().fold((0.0, 0.0), |(s, w), b| (s + b.1, w + b.2));
-    if weight > 0.0 { sum / weight } else { 0.0 }
-}
+/// Errors of the blocks that were held out.
+pub type Blocks = Vec<BlockError>;
 
 /// The new model's error is lower by more than one standard error and by more than [`LEAST_GAIN`].
 #[must_use]

@@ -84,6 +84,15 @@ impl Samples {
         Self { medians: segment_medians(segments, colors), segment, segments, ..self.clone() }
     }
 
+    /// Weight of the samples that `counts` is true of: `[segment]`.
+    #[must_use]
+    pub fn surface(&self, counts: impl Fn(usize) -> bool) -> Vec<f64> {
+        let mut surface = vec![0.0; self.segments];
+        let samples = self.segment.iter().zip(&self.weight).enumerate().filter(|(n, _)| counts(*n));
+        samples.for_each(|(_, (s, w))| surface[*s as usize] += w);
+        surface
+    }
+
     /// Every patch as one sample: prints and noise average out, what a model of light misses does not.
     #[must_use]
     pub fn patches(&self) -> Self {

@@ -150,10 +150,9 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let (count, dim) = (samples.len(), columns + 1);
     let fitted: Vec<usize> = (0..count).filter(|n| samples.held_out[*n].is_none()).collect();
     let total: f64 = fitted.iter().map(|n| samples.weight[*n]).sum();
-    let mut surface = vec![0.0; samples.segments];
-    fitted.iter().for_each(|n| surface[samples.segment[*n] as usize] += samples.weight[*n]);
-    let largest = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
-    let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * largest)).collect();
+    let surface = samples.surface(|n| samples.held_out[n].is_none());
+    let brightest_median = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
+    let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * brightest_median)).collect();
     let mut irradiance = vec![1.0; count];
     let mut solution = DVector::zeros(dim);
     let mut radiance = DVector::from_element(projection.ncols(), 1.0);

@@ -1,8 +1,9 @@
 //! Segments that creases should have divided, under distant light.
 
+use crate::factorisation::held_out::mean;
 use crate::factorisation::{FactorisationOptions, Factorised, Solution, robust_solver};
 use crate::light_model::division::Division;
-use crate::light_model::held_out::{Blocks, is_better, mean};
+use crate::light_model::held_out::{Blocks, is_better};
 use crate::model_selection::held_out_errors;
 use crate::stages::materials::{albedos, factorised_again};
 use crate::stages::prepare::Prepared;
