@@ -189,7 +189,8 @@ impl Choice<'_> {
         best
     }
 
-    /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
+    /// The model with one more lamp, number `at`, where it fits best. If it fits as well at infinity, it is there if it is the only one:
+    /// the sun, whose shadows are sharper than the harmonics. Beside other lamps it would stand for errors of theirs: `None`.
     fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
         let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), &model.emitters, &model.lamps);
         let search = Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples));
@@ -197,13 +198,17 @@ impl Choice<'_> {
         let middle = 0.5 * (low + high);
         let center = search.best_place()?;
         let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
-        let far = middle + (center - middle).normalize_or_zero() * (INFINITE * low.distance(high));
+        let far = |direction: Vec3| middle + direction * (INFINITE * low.distance(high));
         let solved = |center: Vec3| {
             let mut lamps = model.lamps.clone();
             lamps.insert(at, sphere(center));
             self.solved(&model.emitters, &lamps, REGULARISATION)
         };
-        let (near, distant) = rayon::join(|| solved(center), || solved(far));
-        is_better(&near.blocks, &distant.blocks).then_some(near)
+        let (near, distant) = rayon::join(|| solved(center), || solved(far((center - middle).normalize_or_zero())));
+        if is_better(&near.blocks, &distant.blocks) {
+            return Some(near);
+        }
+        let sun = if model.lamps.is_empty() { search.best_direction() } else { None };
+        sun.map(|direction| solved(far(direction)))
     }
 }

@@ -16,6 +16,11 @@ use recordings::types::Mesh;
 const LATTICE: [u32; 3] = [13, 13, 10];
 /// The lattice reaches beyond the scene by this share of its longest side.
 const MARGIN: f32 = 0.6;
+/// Directions of lamps at infinity, and how many scene sizes away they are searched.
+const DIRECTIONS: usize = 800;
+const FAR: f32 = 20.0;
+/// Golden angle, radians: successive directions of a spiral that spreads them evenly.
+const GOLDEN_ANGLE: f32 = 2.399_963;
 /// Samples that the places of the lattice are compared by.
 const LATTICE_SAMPLES: usize = 700;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
@@ -51,8 +56,6 @@ impl<'a> Search<'a> {
     /// The best place, seen as a point; `None` where no place explains anything.
     #[must_use]
     pub fn best_place(&self) -> Option<Vec3> {
-        let values = Values::new(&self.rows, luminance_f64);
-        let without = solve::solve_channel(&self.rows, &values, &self.projection, REGULARISATION);
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();
         let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
@@ -64,7 +67,29 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        let gains = self.gains(&values, &without, &places);
+        self.best_of(&places, step)
+    }
+
+    /// The unit vector from the scene towards the best lamp at infinity; `None` where none explains anything.
+    #[must_use]
+    pub fn best_direction(&self) -> Option<Vec3> {
+        let (low, high) = samples::bounds(self.mesh);
+        let (middle, distance) = (0.5 * (low + high), FAR * low.distance(high));
+        let direction = |n: usize| {
+            let z = 1.0 - (2 * n + 1) as f32 / DIRECTIONS as f32;
+            let (sin, cos) = libm::sincosf(GOLDEN_ANGLE * n as f32);
+            Vec3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + Vec3::Z * z
+        };
+        let places: Vec<Vec3> = (0..DIRECTIONS).map(|n| middle + direction(n) * distance).collect();
+        let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
+        Some((self.best_of(&places, Vec3::splat(apart * distance))? - middle).normalize_or_zero())
+    }
+
+    /// The best of these places, `step` apart, refined.
+    fn best_of(&self, places: &[Vec3], step: Vec3) -> Option<Vec3> {
+        let values = Values::new(&self.rows, luminance_f64);
+        let without = solve::solve_channel(&self.rows, &values, &self.projection, REGULARISATION);
+        let gains = self.gains(&values, &without, places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
         let mut apart: Vec<Vec3> = Vec::new();

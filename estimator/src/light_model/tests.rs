@@ -153,6 +153,21 @@ fn two_lamps_are_found_where_they_are_though_what_is_below_one_is_clipped() {
 }
 
 #[test]
+fn the_sun_is_found_where_it_stands() {
+    let toward = Vec3::new(0.64, 0.6, 0.48);
+    let sun = Sphere { center: toward * 2000.0, radius: 20.0 };
+    let (near, decision, _) = chosen(|mesh, scene, traced, i| {
+        let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.02;
+        Vec3::new(1.0, 0.9, 0.8) * 2000.0_f32.powi(2) * lamps::form_factor(mesh, scene, i, &sun) + Vec3::splat(sky)
+    });
+    let near = near.unwrap_or_else(|| panic!("distant light was kept: {decision:?}"));
+    assert_eq!((near.light.model, near.light.lamps.len()), (LightModel::Lamps, 1), "{decision:?}");
+    let found = Vec3::from_array(near.light.lamps[0].center);
+    let off = found.angle_between(toward).to_degrees();
+    assert!(off < 2.0 && found.length() > 100.0, "{off} degrees off, {found} m away");
+}
+
+#[test]
 fn a_desk_and_walls_that_were_taken_for_one_paint_are_divided() {
     let (chosen, paint) = chosen_with(|paint| if paint == 1 { 0 } else { paint }, f32::INFINITY, under_the_lamp);
     let Some((Division { part, of }, decision)) = chosen.division else { panic!("{:?}", chosen.decisions) };
