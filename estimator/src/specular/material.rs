@@ -71,7 +71,7 @@ impl Pool {
     /// False if the weights contradict each other: more than `significance` standard errors lie between them.
     fn agrees(&self, other: &Self, significance: f64) -> bool {
         let known = self.best.is_some() && other.best.is_some();
-        !known || (self.mean() - other.mean()).abs() <= significance * f64::hypot(self.error(), other.error())
+        !known || (self.mean() - other.mean()).abs() <= significance * libm::hypot(self.error(), other.error())
     }
 
     fn and(&self, other: &Self) -> Self {
