@@ -43,7 +43,7 @@ impl fmt::Display for LightModel {
     }
 }
 
-/// A lamp beside the scene: a sphere that radiates evenly.
+/// A lamp beside the scene: a sphere that radiates evenly. The sun, and what else has no place, is a thousand scene sizes away.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Lamp {
     /// Centre, world, metres.
