@@ -44,13 +44,19 @@ pub struct Search<'a> {
     /// The model that a lamp is added to.
     rows: Rows<'a>,
     projection: Projection,
+    /// Luminance of the samples.
+    values: Values,
+    /// The model without a lamp more.
+    without: Channel,
 }
 
 impl<'a> Search<'a> {
     /// Searches for a lamp that is added to the model of `rows`; `scene` is the mesh for rays.
     #[must_use]
     pub fn new(mesh: &'a Mesh, scene: &'a RayScene, rows: Rows<'a>) -> Self {
-        Self { mesh, scene, rows, projection: Projection::new(rows.coefficients) }
+        let (projection, values) = (Projection::new(rows.coefficients), Values::new(&rows, luminance_f64));
+        let without = solve::solve_channel(&rows, &values, &projection, REGULARISATION);
+        Self { mesh, scene, rows, projection, values, without }
     }
 
     /// The best place, seen as a point; `None` where no place explains anything.
@@ -87,9 +93,7 @@ impl<'a> Search<'a> {
 
     /// The best of these places, `step` apart, refined.
     fn best_of(&self, places: &[Vec3], step: Vec3) -> Option<Vec3> {
-        let values = Values::new(&self.rows, luminance_f64);
-        let without = solve::solve_channel(&self.rows, &values, &self.projection, REGULARISATION);
-        let gains = self.gains(&values, &without, places);
+        let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
         let mut apart: Vec<Vec3> = Vec::new();
@@ -101,13 +105,14 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        let tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(&values, p), p)).collect();
+        let tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
         let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(self.refined(&values, best, step.min_element()))
+        Some(self.refined(best, step.min_element()))
     }
 
     /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
-    fn gains(&self, values: &Values, without: &Channel, places: &[Vec3]) -> Vec<f64> {
+    fn gains(&self, places: &[Vec3]) -> Vec<f64> {
+        let Self { values, without, .. } = self;
         let Rows { samples, columns, shared, .. } = self.rows;
         let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
         let stride = fitted.len().div_ceil(LATTICE_SAMPLES).max(1);
@@ -179,8 +184,8 @@ impl<'a> Search<'a> {
     }
 
     /// Mean capped residual of the model with a lamp at this place.
-    fn cost(&self, values: &Values, place: Vec3) -> f64 {
-        let samples = self.rows.samples;
+    fn cost(&self, place: Vec3) -> f64 {
+        let (samples, values) = (self.rows.samples, &self.values);
         let sphere = Sphere { center: place, radius: 0.0 };
         let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere);
         let (shared, columns) = self.rows.with_column(&column);
@@ -199,8 +204,8 @@ impl<'a> Search<'a> {
     }
 
     /// Nelder and Mead's simplex, from a place of the lattice.
-    fn refined(&self, values: &Values, from: (f64, Vec3), step: f32) -> Vec3 {
-        let cost = |place: Vec3| (self.cost(values, place), place);
+    fn refined(&self, from: (f64, Vec3), step: f32) -> Vec3 {
+        let cost = |place: Vec3| (self.cost(place), place);
         let mut simplex = vec![from];
         simplex.extend([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
         let mut evaluations = 3;
