@@ -4,6 +4,7 @@ use crate::export::file::write_whole;
 use crate::export::glb::buffer::{Buffer, pack};
 use crate::export::glb::light::light;
 use crate::export::glb::local_light;
+use crate::render::bounding_sphere::BoundingSphere;
 use crate::render::lighting::environment::Environment;
 use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
 use glam::{DMat3, DQuat, DVec3, Vec3};
@@ -43,7 +44,9 @@ pub fn scene(result: &Estimate, completed: &Environment) -> Result<Vec<u8>> {
     let mut nodes = vec![json!({ "name": result.name, "mesh": 0 })];
     nodes.extend(result.keyframes.iter().enumerate().map(|(index, keyframe)| camera_node(index, keyframe)));
     let (lamps, emitters) = (&result.local_light.lamps, &result.local_light.emitters);
-    nodes.extend(lamps.iter().enumerate().map(|(index, lamp)| local_light::lamp_node(index, lamp, turned)));
+    let around = BoundingSphere::around(result.mesh.positions.iter().copied());
+    let around = around.unwrap_or(BoundingSphere { center: Vec3::ZERO, radius: 0.0 });
+    nodes.extend(lamps.iter().enumerate().map(|(index, lamp)| local_light::lamp_node(index, lamp, &around, turned)));
     let (mut images, light) = light(result, completed, &mut buffer)?;
     let mut extensions = vec!["KHR_materials_specular", "EXT_lights_image_based"];
     extensions.extend((!lamps.is_empty()).then_some("KHR_lights_punctual"));
@@ -81,7 +84,7 @@ pub fn scene(result: &Estimate, completed: &Environment) -> Result<Vec<u8>> {
     }
     if !lamps.is_empty() {
         root["extensions"]["KHR_lights_punctual"] =
-            json!({ "lights": lamps.iter().map(local_light::point_light).collect::<Vec<_>>() });
+            json!({ "lights": lamps.iter().map(|lamp| local_light::light(lamp, &around)).collect::<Vec<_>>() });
     }
     Ok(pack(&root, &buffer.bytes))
 }
@@ -241,6 +244,24 @@ mod tests {
         assert_eq!(emitter["extensions"]["KHR_materials_emissive_strength"]["emissiveStrength"], 4.0);
         let primitives = root["meshes"][0]["primitives"].as_array().unwrap();
         assert!(primitives.iter().any(|p| p["material"] == result.segments.len()));
+    }
+
+    #[test]
+    fn the_sun_is_a_direction() {
+        let mut result = tiny();
+        let center = [0.0, 6e5, 8e5];
+        result.local_light.lamps = vec![Lamp { center, radius_m: 1e4, radiance: [50.0, 40.0, 30.0] }];
+        let bytes = written(&result);
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let root: Value = serde_json::from_slice(&bytes[20..20 + length]).unwrap();
+        let light = &root["extensions"]["KHR_lights_punctual"]["lights"][0];
+        assert_eq!(light["type"], "directional");
+        assert!((light["intensity"].as_f64().unwrap() - 50.0 * std::f64::consts::PI * 1e-4).abs() < 1e-5, "{light}");
+        let node = root["nodes"].as_array().unwrap().last().unwrap();
+        let turn: Vec<f32> = node["rotation"].as_array().unwrap().iter().map(|x| x.as_f64().unwrap() as f32).collect();
+        let along = glam::Quat::from_slice(&turn) * Vec3::NEG_Z;
+        assert!(along.distance(Vec3::new(0.0, -0.8, 0.6)) < 1e-3, "from the sun, in glTF's axes: {along}");
+        assert!(node.get("translation").is_none());
     }
 
     /// The Khronos validator, where it is installed (npm i -g gltf-validator; NODE_PATH names its folder).
