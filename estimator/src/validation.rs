@@ -24,7 +24,7 @@ use recordings::types::{CameraModel, Intrinsics, Keyframe, Mesh, Pose, Response}
 #[derive(Clone, Copy)]
 pub struct Model<'a> {
     /// Mesh, rays and light.
-    pub reflection: Reflection<'a>,
+    pub reflection: &'a Reflection<'a>,
     /// Lit colour, linear RGB: `[vertex]`.
     pub lit_color: &'a [Vec3],
     /// Weight of the lit colour, 0 = never seen: `[vertex]`.

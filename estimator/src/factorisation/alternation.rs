@@ -38,17 +38,15 @@ pub(super) struct Prior {
 }
 
 impl Prior {
-    /// Uniform radiance.
-    pub fn uniform(regularisation: f64) -> Self {
-        Self {
-            weight: DVector::from_element(DIRECTIONS, regularisation),
-            center: DVector::from_element(DIRECTIONS, 1.0),
-        }
+    /// Uniform radiance. The sun is drawn to nothing.
+    pub fn uniform(projection: &Projection, regularisation: f64) -> Self {
+        let of = |value: f64| DVector::from_element(DIRECTIONS, value).resize_vertically(projection.directions(), 0.0);
+        Self { weight: of(regularisation), center: of(1.0) }
     }
 
     /// The same drawn to `center`, too, with a `weight` for each direction.
     pub fn drawn_to(mut self, center: &DVector<f64>, weight: impl Fn(usize) -> f64) -> Self {
-        for d in 0..DIRECTIONS {
+        for d in 0..center.len() {
             let (more, before) = (weight(d), self.weight[d]);
             self.weight[d] = before + more;
             if self.weight[d] > 0.0 {
@@ -65,10 +63,15 @@ impl Prior {
     }
 }
 
+/// Mean radiance but for the sun's.
+pub(super) fn mean_radiance(radiance: &DVector<f64>) -> f64 {
+    radiance.rows(0, DIRECTIONS).mean()
+}
+
 /// Radiance and albedos, for one channel.
 #[derive(Debug, Clone)]
 pub(super) struct Alternation {
-    /// `[direction]`, mean 1.
+    /// `[direction]`, mean 1, and the sun's.
     pub radiance: DVector<f64>,
     /// `[segment]`.
     pub albedo: Vec<f64>,
@@ -128,7 +131,7 @@ impl Alternation {
         let held = form.held(penalty);
         let before = self.radiance.clone();
         form.descend(&held, penalty.center, &mut self.radiance);
-        let mean = self.radiance.mean();
+        let mean = mean_radiance(&self.radiance);
         if mean <= 0.0 || !mean.is_finite() {
             self.radiance.fill(1.0);
             return None;
@@ -166,7 +169,7 @@ impl Alternation {
     pub fn choose(&mut self, folds: &Folds, projection: &Projection, tuning: &FactorisationTuning) -> f64 {
         let tried = REGULARISATIONS.par_iter().map(|&regularisation| {
             let mut trial = self.clone();
-            trial.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
+            trial.run(&folds.fitted, projection, &Prior::uniform(projection, regularisation), ROUGH, tuning);
             (regularisation, trial.relative_square_error(&folds.held_out, projection), trial)
         });
         let mut best: Option<(f64, f64, Self)> = None;

@@ -4,12 +4,12 @@
 //! come out green, pink and blue. Here the channels are drawn to the radiance that they have in common, and then to the radiance that
 //! keyframes saw beyond the scan, each as strongly as the colours of held-out surface allow. Albedos stay.
 
-use crate::factorisation::alternation::{Alternation, LightForm, Prior};
+use crate::factorisation::alternation::{Alternation, LightForm, Prior, mean_radiance};
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::robust_solver::Channel;
 use crate::factorisation::seen_background::SeenBackground;
-use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
+use crate::factorisation::solution::{Solution, zip3};
 use crate::factorisation::statistics::{Statistics, samples};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::DVector;
@@ -48,14 +48,14 @@ pub fn draw(
     tuning: &FactorisationTuning,
 ) -> Option<Drawn> {
     let samples = samples(observed, tuning);
-    let projection = Projection::new(solution.light.len());
+    let projection = Projection::of(observed.transfer, solution.bands());
     let fit = |c: usize| Fit::new(&Channel::new(observed, &samples, c, tuning), solution, &projection);
     let fits = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>()?;
     if fits.iter().any(|f| f.held_out.iter().all(|s| s.square <= 0.0)) {
         return None;
     }
     let grey = fits.iter().map(|f| &f.state.radiance).sum::<DVector<f64>>() / 3.0;
-    let alike = |f: &Fit, weight: f64| Prior::uniform(f.regularisation).drawn_to(&grey, |_| weight);
+    let alike = |f: &Fit, weight: f64| Prior::uniform(&projection, f.regularisation).drawn_to(&grey, |_| weight);
     let (chroma, mut states) = strongest(&fits, &projection, tuning, |c, weight| alike(&fits[c], weight))?;
     let seen = if background.is_empty() {
         None
@@ -71,7 +71,7 @@ pub fn draw(
     };
     let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(&projection)).collect();
     solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
-    solution.radiance = zip3(DIRECTIONS, &|c, i| fits[c].level * states[c].radiance[i]);
+    solution.radiance = zip3(projection.directions(), &|c, i| fits[c].level * states[c].radiance[i]);
     Some(Drawn { chroma, background: seen })
 }
 
@@ -126,7 +126,7 @@ struct Fit<'a> {
 impl<'a> Fit<'a> {
     fn new(channel: &Channel, solution: &Solution, projection: &'a Projection) -> Option<Self> {
         let mut state = channel.state_of(solution);
-        let level = state.radiance.mean();
+        let level = mean_radiance(&state.radiance);
         if !(level > 0.0 && level.is_finite()) {
             return None;
         }

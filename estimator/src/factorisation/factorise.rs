@@ -2,12 +2,14 @@
 
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::problem::{Colors, FactorisationOptions, Observed};
-use crate::factorisation::solution::Solution;
+use crate::factorisation::solution::{DIRECTIONS, Solution};
 use crate::factorisation::{paper_solver, robust_solver, scale};
+use crate::numerics::sh;
 use crate::transfer::{self, Bounced, Traced, Transfer};
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// The answer of the factorisation.
@@ -54,6 +56,23 @@ impl Factorised {
             albedo: self.detail.albedo.clone(),
             bounced: self.transfer.bounced.clone(),
         }
+    }
+}
+
+impl Factorised {
+    /// The light in the bands that mirrors show, the sun with the rest: `[k][channel]`.
+    #[must_use]
+    pub fn mirrored_light(&self) -> Cow<'_, [[f64; 3]]> {
+        let light = self.solution.harmonics();
+        let mut light = Cow::Borrowed(&light[..light.len().min(sh::MIRRORED_BANDS * sh::MIRRORED_BANDS)]);
+        if let (Some(sun), Some(radiance)) = (&self.transfer.traced.sun, self.solution.sun()) {
+            let mut y = vec![0.0; light.len()];
+            sh::eval(Vec3::from_array(sun.lamp.center).normalize().as_dvec3(), &mut y);
+            let share = 4.0 * std::f64::consts::PI / DIRECTIONS as f64;
+            let rows = light.to_mut().iter_mut().zip(y);
+            rows.for_each(|(l, y)| (0..3).for_each(|c| l[c] += share * y * radiance[c]));
+        }
+        light
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::factorisation::solution::{DIRECTIONS, directions};
 use crate::numerics::sh;
+use crate::transfer::Transfer;
 use nalgebra::DMatrix;
 
 /// Projection of radiance over the directions to coefficients, light = P · radiance: SH values times the solid angle of a
@@ -24,6 +25,28 @@ impl Projection {
                 .for_each(|(p, y)| *p = y * 4.0 * std::f64::consts::PI / DIRECTIONS as f64);
         }
         Self(projection)
+    }
+
+    /// The same with one direction more, the sun's, whose radiance is a coefficient of its own.
+    #[must_use]
+    pub fn with_sun(self) -> Self {
+        let (k, directions) = self.0.shape();
+        let mut projection = self.0.resize(k + 1, directions + 1, 0.0);
+        projection[(k, directions)] = 1.0;
+        Self(projection)
+    }
+
+    /// For the harmonics of `bands` and for the sun, if the transfer has one.
+    #[must_use]
+    pub fn of(transfer: &Transfer, bands: usize) -> Self {
+        let harmonics = Self::new(bands * bands);
+        if transfer.traced.sun.is_some() { harmonics.with_sun() } else { harmonics }
+    }
+
+    /// Number of directions.
+    #[must_use]
+    pub fn directions(&self) -> usize {
+        self.0.ncols()
     }
 
     /// Number of coefficients.

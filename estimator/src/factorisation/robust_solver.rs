@@ -24,9 +24,9 @@ const CLIPPED: f64 = 1e-6;
 /// regularisation weight.
 #[must_use]
 pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>, tuning: &FactorisationTuning) -> Solution {
-    let k = bands * bands;
     let samples = samples(observed, tuning);
-    let projection = Projection::new(k);
+    let projection = Projection::of(observed.transfer, bands);
+    let k = projection.coefficients();
     let channels: Vec<ChannelSolution> = [0, 1, 2]
         .into_par_iter()
         .map(|channel| Channel::new(observed, &samples, channel, tuning).solve(&projection, start))
@@ -34,7 +34,7 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>, tuning
     Solution {
         light: zip3(k, &|c, i| channels[c].light[i]),
         standard_deviation: zip3(k, &|c, i| channels[c].standard_deviation[i]),
-        radiance: zip3(DIRECTIONS, &|c, i| channels[c].state.radiance[i]),
+        radiance: zip3(projection.directions(), &|c, i| channels[c].state.radiance[i]),
         albedo: zip3(observed.segments, &|c, i| channels[c].state.albedo[i]),
         held_out: libm::sqrt(channels.iter().map(|c| c.held_out).sum::<f64>() / 3.0),
         regularisation: [0, 1, 2].map(|c| channels[c].regularisation),
@@ -80,17 +80,19 @@ impl<'a> Channel<'a> {
     fn solve(&self, projection: &Projection, start: Option<&Solution>) -> ChannelSolution {
         let tuning = self.tuning;
         let mut state = start.map_or_else(|| self.uniform(), |s| self.state_of(s));
+        // No sun yet, where the start has none.
+        state.radiance = state.radiance.resize_vertically(projection.directions(), 0.0);
         let mut regularisation = start.map_or(FIRST_REGULARISATION, |s| self.regularisation(s));
         let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
         let mut folds = self.folds(&self.weights(&colors, &state.albedo), projection);
         for _ in 1..REWEIGHTINGS {
-            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
+            state.run(&folds.fitted, projection, &Prior::uniform(projection, regularisation), ROUGH, tuning);
             folds = self.folds(&self.robust_weights(&self.predict(&state, projection), &state.albedo), projection);
         }
         if start.is_none() {
             regularisation = state.choose(&folds, projection, tuning);
         }
-        state.run(&folds.fitted, projection, &Prior::uniform(regularisation), EXACT, tuning);
+        state.run(&folds.fitted, projection, &Prior::uniform(projection, regularisation), EXACT, tuning);
         let held_out = state.relative_square_error(&folds.held_out, projection);
         let (condition, standard_deviation) = posterior(&folds, projection, &state, regularisation, tuning);
         let light = state.light(projection);
@@ -108,7 +110,10 @@ impl<'a> Channel<'a> {
     /// Light and albedos of a solution.
     pub fn state_of(&self, solution: &Solution) -> Alternation {
         Alternation {
-            radiance: DVector::from_iterator(DIRECTIONS, solution.radiance.iter().map(|r| r[self.channel])),
+            radiance: DVector::from_iterator(
+                solution.radiance.len(),
+                solution.radiance.iter().map(|r| r[self.channel]),
+            ),
             albedo: solution.albedo.iter().map(|a| a[self.channel]).collect(),
         }
     }
@@ -173,8 +178,12 @@ impl<'a> Channel<'a> {
     }
 
     /// Variance of undetected gloss, `[segment]`, in units of the variance of a lit colour's relative error. Gloss is the same
-    /// in all channels, so it is relatively large where the albedo is small.
+    /// in all channels, so it is relatively large where the albedo is small. Beside a sun, what is in its shadow has a small albedo until
+    /// its power is known, which it would then never be.
     fn gloss_variance(&self, albedo: &[f64]) -> Vec<f64> {
+        if self.observed.transfer.traced.sun.is_some() {
+            return vec![0.0; albedo.len()];
+        }
         let mut seen = vec![0.0; albedo.len()];
         self.samples.iter().for_each(|s| seen[s.segment as usize] += s.count);
         let brightest = brightest_large(albedo, &seen, self.tuning);

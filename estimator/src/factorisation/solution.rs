@@ -9,11 +9,11 @@ pub(super) const DIRECTIONS: usize = 320;
 /// Light and segment albedos, up to one factor per channel.
 #[derive(Debug, Clone)]
 pub struct Solution {
-    /// SH coefficients of the radiance: `[k][channel]`, bands² rows.
+    /// SH coefficients of the radiance: `[k][channel]`, bands² rows, and one for the sun, where the transfer has one.
     pub light: Vec<[f64; 3]>,
     /// Posterior standard deviation of `light`, same shape.
     pub standard_deviation: Vec<[f64; 3]>,
-    /// Non-negative radiance over [`directions`]: `[direction][channel]`.
+    /// Non-negative radiance over [`directions`], and of the sun: `[direction][channel]`.
     pub radiance: Vec<[f64; 3]>,
     /// Albedo: `[segment][channel]`.
     pub albedo: Vec<[f64; 3]>,
@@ -26,6 +26,24 @@ pub struct Solution {
 }
 
 impl Solution {
+    /// SH bands of the light.
+    #[must_use]
+    pub fn bands(&self) -> usize {
+        self.light.len().isqrt()
+    }
+
+    /// The SH coefficients alone.
+    #[must_use]
+    pub fn harmonics(&self) -> &[[f64; 3]] {
+        &self.light[..self.bands() * self.bands()]
+    }
+
+    /// Radiance of the sun, in units of that of one of [`directions`], if it has one.
+    #[must_use]
+    pub fn sun(&self) -> Option<[f64; 3]> {
+        self.radiance.get(DIRECTIONS).copied()
+    }
+
     /// Multiplies albedo and light by these factors, per channel.
     pub fn scale(&mut self, albedo: DVec3, light: DVec3) {
         self.albedo.iter_mut().for_each(|a| (0..3).for_each(|c| a[c] *= albedo[c]));

@@ -4,7 +4,7 @@
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::held_out::mean;
 use crate::factorisation::scale::{self, Fixed, Scaled};
-use crate::factorisation::{Colors, Factorised, Solution};
+use crate::factorisation::{Colors, FactorisationOptions, Factorised, Solution};
 use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, segment_albedo};
@@ -91,6 +91,8 @@ pub struct Near {
 pub struct Chosen {
     /// What takes the place of the distant answer; `None` where that is kept.
     pub near: Option<Near>,
+    /// The distant answer with a sun, if that takes its place.
+    pub sunny: Option<Factorised>,
     /// The choice and its evidence.
     pub decisions: Vec<Decision>,
     /// Times that richer models were tried.
@@ -106,17 +108,17 @@ pub struct Chosen {
 pub fn choose(
     scene: &Scene,
     found: &Factorised,
-    tuning: &FactorisationTuning,
+    options: &FactorisationOptions,
     may_search: &mut dyn FnMut() -> bool,
 ) -> Chosen {
-    let mut choice = Choice::new(scene, &found.transfer.traced, tuning);
+    let mut choice = Choice::new(scene, &found.transfer.traced, options.tuning);
     let given = choice.samples.vertex.iter().map(|i| found.irradiance[*i as usize].to_array().map(f64::from));
     let given: Vec<[f64; 3]> = given.collect();
     let at = |n: usize| given[n];
     let distant = held_out::errors(&choice.samples, at);
     let samples = choice.samples.len() as u32;
     let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
-    let (mut near, mut near_light, mut division) = (None, None, None);
+    let (mut near, mut sunny, mut near_light, mut division) = (None, None, None, None);
     let smooth = Smooth::fit(scene.mesh, &choice.samples);
     let error = |irradiance: &dyn Fn(usize) -> [f64; 3]| mean(&held_out::errors(&choice.samples, irradiance));
     let flat = error(&|_| [1.0; 3]);
@@ -148,16 +150,24 @@ pub fn choose(
             searches += u32::from(scene.divided_by.is_some());
             division = scene.divided_by.and_then(|paints| choice.divided(&best, paints));
         }
-        if is_unexplained {
+        // Segments are right before a sun is looked for: what they take for one paint passes for its shadows.
+        let may_shine = !is_near && division.is_none() && !scene.unseen_radiates;
+        if may_shine && let Some((answer, blocks)) = choice.sunny(found, options) {
+            ladder.push(LightRung { model: LightModel::Lamps, held_out: mean(&blocks) });
+            let explains = unexplained >= mean(&blocks) * (1.0 - LEAST_GAIN);
+            sunny = (explains && is_better(&blocks, &distant)).then_some(answer);
+        }
+        if is_unexplained && sunny.is_none() {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
             near = Some(choice.unexplained(smooth, found));
         } else if is_near && division.is_none() {
             near = Some(choice.finished(best, found));
         }
     }
-    let chosen = near.as_ref().map_or(LightModel::Distant, |n| n.light.model);
+    let distant = if sunny.is_some() { LightModel::Lamps } else { LightModel::Distant };
+    let chosen = near.as_ref().map_or(distant, |n| n.light.model);
     let decisions = near_light.into_iter().chain([Decision::LightModel { chosen, ladder, samples }]).collect();
-    Chosen { near, decisions, searches, division }
+    Chosen { near, sunny, decisions, searches, division }
 }
 
 /// A model of light: lamps, emitting pieces, and what they were solved to.

@@ -1,7 +1,7 @@
 //! Growth of a near model: emitting pieces and lamps are added, placed again and taken away while held-out surface asks for it.
 
 use crate::factorisation::held_out::mean;
-use crate::light_model::choose::{Choice, Model, REGULARISATION, WORTHWHILE};
+use crate::light_model::choose::{Choice, Columns, Model, REGULARISATION, WORTHWHILE};
 use crate::light_model::held_out::is_better;
 use crate::light_model::lamps::Sphere;
 use crate::light_model::samples;
@@ -189,26 +189,37 @@ impl Choice<'_> {
         best
     }
 
-    /// The model with one more lamp, number `at`, where it fits best. If it fits as well at infinity, it is there if it is the only one:
-    /// the sun, whose shadows are sharper than the harmonics. Beside other lamps it would stand for errors of theirs: `None`.
+    /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
     fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
-        let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), &model.emitters, &model.lamps);
-        let search = Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples));
+        let columns = self.search_columns(&model.emitters, &model.lamps);
+        let center = self.search(&columns).best_place()?;
         let (low, high) = samples::bounds(self.scene.mesh);
         let middle = 0.5 * (low + high);
-        let center = search.best_place()?;
-        let sphere = |center: Vec3| Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
-        let far = |direction: Vec3| middle + direction * (INFINITE * low.distance(high));
-        let solved = |center: Vec3| {
+        let solved = |sphere: Sphere| {
             let mut lamps = model.lamps.clone();
-            lamps.insert(at, sphere(center));
+            lamps.insert(at, sphere);
             self.solved(&model.emitters, &lamps, REGULARISATION)
         };
-        let (near, distant) = rayon::join(|| solved(center), || solved(far((center - middle).normalize_or_zero())));
-        if is_better(&near.blocks, &distant.blocks) {
-            return Some(near);
-        }
-        let sun = if model.lamps.is_empty() { search.best_direction() } else { None };
-        sun.map(|direction| solved(far(direction)))
+        let near = Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
+        let distant = || solved(self.at_infinity((center - middle).normalize_or_zero()));
+        let (near, distant) = rayon::join(|| solved(near), distant);
+        is_better(&near.blocks, &distant.blocks).then_some(near)
+    }
+
+    /// Columns of the model that a lamp is looked for beside.
+    pub(super) fn search_columns(&self, emitters: &[usize], lamps: &[Sphere]) -> Columns {
+        self.columns(SEARCH_BANDS.min(self.traced.bands), emitters, lamps)
+    }
+
+    /// The search for a lamp beside a model of these columns.
+    pub(super) fn search<'s>(&'s self, columns: &'s Columns) -> Search<'s> {
+        Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples))
+    }
+
+    /// A lamp at infinity in this direction, a unit vector from the scene.
+    pub(super) fn at_infinity(&self, direction: Vec3) -> Sphere {
+        let (low, high) = samples::bounds(self.scene.mesh);
+        let distance = INFINITE * low.distance(high);
+        Sphere { center: 0.5 * (low + high) + direction * distance, radius: LAMP_RADIUS * distance }
     }
 }

@@ -15,6 +15,7 @@ mod search;
 mod secondary;
 mod smooth_fallback;
 mod solve;
+mod sun;
 mod visibility;
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples::{self, DARK_FLOOR};
 use crate::light_model::solve::{self, Channel, Rows, Values};
 use crate::numerics::cielab::luminance_f64;
+use crate::numerics::sh;
 use crate::rays::RayScene;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
@@ -19,12 +20,12 @@ const MARGIN: f32 = 0.6;
 /// Directions of lamps at infinity, and how many scene sizes away they are searched.
 const DIRECTIONS: usize = 800;
 const FAR: f32 = 20.0;
-/// Golden angle, radians: successive directions of a spiral that spreads them evenly.
-const GOLDEN_ANGLE: f32 = 2.399_963;
 /// Samples that the places of the lattice are compared by.
 const LATTICE_SAMPLES: usize = 700;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
 const SOLVED: usize = 6;
+/// Directions that are refined: shadows make several that are nearly as good.
+const REFINED: usize = 3;
 const APART: f32 = 1.6;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
@@ -73,7 +74,7 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        self.best_of(&places, step)
+        self.best_of(&places, step, 1)
     }
 
     /// The unit vector from the scene towards the best lamp at infinity; `None` where none explains anything.
@@ -81,18 +82,14 @@ impl<'a> Search<'a> {
     pub fn best_direction(&self) -> Option<Vec3> {
         let (low, high) = samples::bounds(self.mesh);
         let (middle, distance) = (0.5 * (low + high), FAR * low.distance(high));
-        let direction = |n: usize| {
-            let z = 1.0 - (2 * n + 1) as f32 / DIRECTIONS as f32;
-            let (sin, cos) = libm::sincosf(GOLDEN_ANGLE * n as f32);
-            Vec3::new(cos, sin, 0.0) * (1.0 - z * z).sqrt() + Vec3::Z * z
-        };
-        let places: Vec<Vec3> = (0..DIRECTIONS).map(|n| middle + direction(n) * distance).collect();
+        let places: Vec<Vec3> =
+            sh::even_directions(DIRECTIONS).iter().map(|d| middle + d.as_vec3() * distance).collect();
         let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
-        Some((self.best_of(&places, Vec3::splat(apart * distance))? - middle).normalize_or_zero())
+        Some((self.best_of(&places, Vec3::splat(apart * distance), REFINED)? - middle).normalize_or_zero())
     }
 
-    /// The best of these places, `step` apart, refined.
-    fn best_of(&self, places: &[Vec3], step: Vec3) -> Option<Vec3> {
+    /// The best of these places, `step` apart, of which some are refined.
+    fn best_of(&self, places: &[Vec3], step: Vec3, refined: usize) -> Option<Vec3> {
         let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
@@ -105,9 +102,11 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        let tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
-        let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(self.refined(best, step.min_element()))
+        let mut tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        tried.truncate(refined);
+        let refined: Vec<(f64, Vec3)> = tried.into_par_iter().map(|t| self.refined(t, step.min_element())).collect();
+        refined.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|r| r.1)
     }
 
     /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
@@ -204,7 +203,7 @@ impl<'a> Search<'a> {
     }
 
     /// Nelder and Mead's simplex, from a place of the lattice.
-    fn refined(&self, from: (f64, Vec3), step: f32) -> Vec3 {
+    fn refined(&self, from: (f64, Vec3), step: f32) -> (f64, Vec3) {
         let cost = |place: Vec3| (self.cost(place), place);
         let mut simplex = vec![from];
         simplex.extend([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
@@ -239,6 +238,6 @@ impl<'a> Search<'a> {
             }
         }
         simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
-        simplex[0].1
+        simplex[0]
     }
 }

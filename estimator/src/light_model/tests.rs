@@ -5,6 +5,7 @@ use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::division::Division;
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::secondary::secondary;
+use crate::numerics::robust::median;
 use crate::rays::RayScene;
 use crate::transfer::{Traced, Tracer};
 use firmware_config::SolverChoice;
@@ -107,7 +108,7 @@ fn chosen_with(
     let paints = SegmentationTuning::default();
     let (unseen_radiates, divided_by) = (false, Some(&paints));
     let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates, seen_lamps: &[], divided_by };
-    (choose::choose(&parts, &found, &tuning, &mut || true), paint)
+    (choose::choose(&parts, &found, &options, &mut || true), paint)
 }
 
 fn under_the_lamp(mesh: &Mesh, scene: &RayScene, traced: &Traced, i: usize) -> Vec3 {
@@ -132,8 +133,8 @@ fn a_lamp_beside_the_scene_is_found_where_it_is() {
         .zip(&near.detail.albedo)
         .map(|(s, a)| (*a / ALBEDO[*s as usize] - 1.0).abs().max_element())
         .collect();
-    let median = crate::numerics::robust::median(wrong).unwrap_or(1.0);
-    assert!(median < 0.1, "albedo off by {median}, its scale included");
+    let wrong = median(wrong).unwrap_or(1.0);
+    assert!(wrong < 0.1, "albedo off by {wrong}, its scale included");
 }
 
 /// Distance of the nearest lamp.
@@ -152,19 +153,45 @@ fn two_lamps_are_found_where_they_are_though_what_is_below_one_is_clipped() {
     }
 }
 
+/// The choice under a uniform sky that brings level surface a radiosity of 1, and a sun that brings `share` of that to what faces it.
+fn chosen_under_the_sun(toward: Vec3, share: f32) -> (Chosen, Vec<u32>) {
+    let sun = Sphere { center: toward * 2000.0, radius: 20.0 };
+    chosen_with(
+        |paint| paint,
+        f32::INFINITY,
+        |mesh, scene, traced, i| {
+            let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI;
+            Vec3::splat(sky + share * 2000.0_f32.powi(2) * lamps::form_factor(mesh, scene, i, &sun))
+        },
+    )
+}
+
 #[test]
 fn the_sun_is_found_where_it_stands() {
-    let toward = Vec3::new(0.64, 0.6, 0.48);
-    let sun = Sphere { center: toward * 2000.0, radius: 20.0 };
-    let (near, decision, _) = chosen(|mesh, scene, traced, i| {
-        let sky = traced.direct[i * 25] * 0.282_095 * 4.0 * std::f32::consts::PI * 0.02;
-        Vec3::new(1.0, 0.9, 0.8) * 2000.0_f32.powi(2) * lamps::form_factor(mesh, scene, i, &sun) + Vec3::splat(sky)
-    });
-    let near = near.unwrap_or_else(|| panic!("distant light was kept: {decision:?}"));
-    assert_eq!((near.light.model, near.light.lamps.len()), (LightModel::Lamps, 1), "{decision:?}");
-    let found = Vec3::from_array(near.light.lamps[0].center);
+    let (toward, share) = (Vec3::new(0.64, 0.6, 0.48), 2.0);
+    let (chosen, paint) = chosen_under_the_sun(toward, share);
+    let sunny = chosen.sunny.unwrap_or_else(|| panic!("no sun: {:?}", chosen.decisions));
+    let lamp = sunny.transfer.traced.sun.as_ref().expect("a sunny answer has a sun").lamp;
+    let found = Vec3::from_array(lamp.center);
     let off = found.angle_between(toward).to_degrees();
     assert!(off < 2.0 && found.length() > 100.0, "{off} degrees off, {found} m away");
+    // What it brings over what the uniform sky brings, which is its mean radiance.
+    let times = sunny.solution.sun().expect("a sunny answer has a sun")[1];
+    let brings = times * lamp.radiance[1] * f64::from(lamp.radius_m / found.length()).powi(2);
+    let sky = sunny.solution.light[0][1] / libm::sqrt(4.0 * std::f64::consts::PI);
+    assert!((brings / sky / f64::from(share) - 1.0).abs() < 0.15, "{} times the sky instead of {share}", brings / sky);
+    // One factor is free.
+    let ratio = |(p, a): (&u32, &Vec3)| f64::from(a.y / ALBEDO[*p as usize].y);
+    let ratios: Vec<f64> = paint.iter().zip(&sunny.detail.albedo).map(ratio).collect();
+    let level = median(ratios.iter().copied()).unwrap_or(1.0);
+    let wrong = median(ratios.iter().map(|r| (r / level - 1.0).abs())).unwrap_or(1.0);
+    assert!(wrong < 0.03, "albedo off by {wrong}");
+}
+
+#[test]
+fn what_is_no_brighter_than_the_sky_is_no_sun() {
+    let (chosen, _) = chosen_under_the_sun(Vec3::new(0.64, 0.6, 0.48), 0.02);
+    assert!(chosen.near.is_none() && chosen.sunny.is_none(), "{:?}", chosen.decisions);
 }
 
 #[test]

@@ -44,7 +44,7 @@ impl<'a> MirrorObservations<'a> {
         min_views: u32,
     ) -> Self {
         let min_views = min_views as usize;
-        Self { reflection: *reflection, rays, lights: reflection.blurred(), association, min_views }
+        Self { reflection: reflection.clone(), rays, lights: reflection.blurred(), association, min_views }
     }
 
     /// The observations of a vertex whose mirror direction is free. With `blocked`, also those whose mirror direction hits a

@@ -156,7 +156,7 @@ impl Refitter<'_> {
         let Self { surface, rays, fields, tuning } = *self;
         let lit_color = clean(&surface.reflection(from), rays, fields, surface.segment, gloss, tuning);
         // With more bands the regularisation weight is chosen again.
-        let same_bands = from.solution.light.len() == options.bands * options.bands;
+        let same_bands = from.solution.bands() == options.bands;
         let start = same_bands.then(|| from.start());
         let colors = surface.colors(&lit_color, fields);
         let found = factorise(Arc::clone(&from.transfer.traced), &colors, &options, start);

@@ -8,19 +8,20 @@ use crate::specular::gloss::LOBES;
 use crate::specular::mirror_rays::{MirrorRay, mirror_ray};
 use glam::Vec3;
 use recordings::types::Mesh;
+use std::borrow::Cow;
 
 /// Lobes times channels.
 pub(super) const BLURRED: usize = 3 * LOBES.len();
 
 /// What predicts reflected light.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 pub struct Reflection<'a> {
     /// Mesh with unit normals.
     pub mesh: &'a Mesh,
     /// The same for rays.
     pub scene: &'a RayScene,
     /// Coefficients of the light: `[k][channel]`.
-    pub light: &'a [[f64; 3]],
+    pub light: Cow<'a, [[f64; 3]]>,
     /// Irradiance over π, linear RGB: `[vertex]`.
     pub irradiance: &'a [Vec3],
 }
@@ -29,16 +30,14 @@ impl<'a> Reflection<'a> {
     /// Reflection of the light found, in the bands that mirrors show.
     #[must_use]
     pub fn new(mesh: &'a Mesh, scene: &'a RayScene, found: &'a Factorised) -> Self {
-        let light = &found.solution.light;
-        let light = &light[..light.len().min(sh::MIRRORED_BANDS * sh::MIRRORED_BANDS)];
-        Self { mesh, scene, light, irradiance: &found.irradiance }
+        Self { mesh, scene, light: found.mirrored_light(), irradiance: &found.irradiance }
     }
 
     /// f_s of Eq. (13), linear RGB: light in the mirror direction; `None` if the scene blocks it.
     #[must_use]
     pub fn at(&self, position: Vec3, normal: Vec3, to_camera: Vec3) -> Option<[f64; 3]> {
         let MirrorRay { direction, hit } = mirror_ray(self.scene, position, normal, to_camera)?;
-        hit.is_none().then(|| sh::radiance(self.light, direction.as_dvec3()).map(|x| x.max(0.0)))
+        hit.is_none().then(|| sh::radiance(&self.light, direction.as_dvec3()).map(|x| x.max(0.0)))
     }
 
     /// Lit colour at the hit of a mirror direction; `None` where it was never seen from its lit side.

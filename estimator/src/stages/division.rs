@@ -63,7 +63,7 @@ fn tried(
     let (colors, tuning) = (prepared.colors(), &config.tuning);
     let albedo = albedos(prepared, &found.irradiance, &tuning.factorisation);
     let start = Solution { albedo, ..found.solution.clone() };
-    let bands = start.light.len().isqrt();
+    let bands = start.bands();
     let observed = colors.under(&found.transfer);
     let solution = robust_solver::solve(&observed, bands, Some(&start), &tuning.factorisation);
     let irradiance = found.transfer.irradiance(&solution.light);

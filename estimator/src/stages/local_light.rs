@@ -47,7 +47,7 @@ pub fn select_local_light(
         // As segmented, divided, and the final one.
         let divided_by = (trial == Trial::First && run.plan.fits_local_light(3)).then_some(paints);
         let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps, divided_by };
-        let chosen = choose::choose(&scene, found, tuning, &mut || tuning.near_light && run.plan.local_light());
+        let chosen = choose::choose(&scene, found, options, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searches > 0 {
             run.plan.local_light_done(chosen.searches);
         }
@@ -60,6 +60,9 @@ pub fn select_local_light(
         (prepared.segment, prepared.segments) = (part, of.len());
         *found = factorised_again(prepared, found, options);
         chosen = choose(prepared, found, &prepared.fields.lit_weight, Trial::Again, run);
+    }
+    if let Some(sunny) = chosen.sunny.take() {
+        *found = sunny;
     }
     // Of the vertices; empty unless what another sheet covers counts as unseen.
     let mut hidden: Vec<bool> = Vec::new();

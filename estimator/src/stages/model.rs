@@ -104,7 +104,7 @@ pub fn refine(prepared: &mut Prepared, found: Factorised, options: &Factorisatio
         return found;
     }
     let held_out = model_selection::held_out_error(&found, &prepared.colors(), &config.tuning);
-    let bands = found.solution.light.len().isqrt();
+    let bands = found.solution.bands();
     let wanted = model_selection::rays(&traced, held_out, &config.tuning.model_selection);
     let bounces_before = run.plan.workload().bounces;
     let rays = run.plan.more_rays(wanted, traced.rays, traced.mean_blocked(), bands, bounces_before);

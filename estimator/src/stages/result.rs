@@ -12,7 +12,7 @@ use crate::stages::scale::scale_rule;
 use crate::transfer::{self, Transfer};
 use firmware_config::{EstimatorConfig, SolverChoice};
 use recordings::decision::{BouncedLight, Decision, TransferLevel, TransferNext, Warning};
-use recordings::local_light::{LightModel, LocalLight};
+use recordings::local_light::{Lamp, LightModel, LocalLight};
 use recordings::result::{Estimate, Light, ResultKeyframe, Segment};
 use recordings::scan::Scan;
 
@@ -30,7 +30,9 @@ pub fn result(
     decisions.push(transfer_decision(&answer.found, run.config));
     let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
     let unseen_light = unseen_light(&answer.found, run.config);
-    let FoundLight { light, drawn } = light;
+    let FoundLight { light, drawn, sun } = light;
+    let sunny = |lamp| LocalLight { model: LightModel::Lamps, lamps: vec![lamp], ..LocalLight::default() };
+    let local_light = sun.map_or(local_light, sunny);
     let (chroma, background) = drawn.map_or((None, None), |d| (Some(d.chroma), d.background));
     decisions.extend(chroma.map(|c| Decision::LightChroma { weight: c.weight, held_out: c.held_out }));
     decisions.push(prepared.background.likeness(&light, background));
@@ -76,6 +78,8 @@ fn keyframes(scan: &Scan, prepared: &Prepared) -> Vec<ResultKeyframe> {
 pub struct FoundLight {
     light: Light,
     drawn: Option<Drawn>,
+    /// The lamp at infinity beside it.
+    sun: Option<Lamp>,
 }
 
 /// The light of a result. With gloss it has no more than the bands that mirrors show ([`sh::MIRRORED_BANDS`]).
@@ -84,7 +88,7 @@ pub fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &E
     let Answer { found, gloss } = answer;
     let (colors, tuning) = (prepared.colors(), &config.tuning.factorisation);
     let is_mirrored = gloss.iter().any(|g| g.significant);
-    let mut solution = if is_mirrored && found.solution.light.len() > sh::MIRRORED_BANDS * sh::MIRRORED_BANDS {
+    let mut solution = if is_mirrored && found.solution.bands() > sh::MIRRORED_BANDS {
         narrowed(found, &colors, sh::MIRRORED_BANDS, tuning)
     } else {
         found.solution.clone()
@@ -94,13 +98,18 @@ pub fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &E
     let seen = prepared.background.evidence();
     let drawn =
         is_told.then(|| drawn_light::draw(&colors.under(&found.transfer), &mut solution, &seen, tuning)).flatten();
+    let harmonics = solution.harmonics().len();
+    let suns = found.transfer.traced.sun.as_ref().zip(solution.sun());
+    let sun =
+        suns.map(|(sun, times)| Lamp { radiance: [0, 1, 2].map(|c| sun.lamp.radiance[c] * times[c]), ..sun.lamp });
+    let directions: Vec<[f32; 3]> = directions().iter().map(|d| d.as_vec3().to_array()).collect();
     let light = Light {
-        coefficients: solution.light,
-        standard_deviation: solution.standard_deviation,
-        directions: directions().iter().map(|d| d.as_vec3().to_array()).collect(),
-        radiance: solution.radiance.iter().map(|r| r.map(|x| x as f32)).collect(),
+        coefficients: solution.harmonics().to_vec(),
+        standard_deviation: solution.standard_deviation[..harmonics].to_vec(),
+        radiance: solution.radiance.iter().take(directions.len()).map(|r| r.map(|x| x as f32)).collect(),
+        directions,
     };
-    FoundLight { light, drawn }
+    FoundLight { light, drawn, sun }
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.

@@ -31,8 +31,9 @@ pub fn witnesses(
     let diffuse: Vec<Vec3> = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e).collect();
     let albedo = &found.detail.albedo;
     let detail = texture.and_then(|t| Detail::new(t, &prepared.mesh, albedo).ok());
+    let reflection = Reflection::new(&prepared.mesh, &prepared.scene, found);
     let model = validation::Model {
-        reflection: Reflection::new(&prepared.mesh, &prepared.scene, found),
+        reflection: &reflection,
         lit_color: lit_with_gloss,
         lit_weight: &prepared.fields.lit_weight,
         diffuse: &diffuse,

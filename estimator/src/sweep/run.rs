@@ -214,7 +214,7 @@ impl<'a> Sweep<'a> {
         prepared.fields = fields;
         self.points.push(Point {
             name: name.into(),
-            bands: found.solution.light.len().isqrt(),
+            bands: found.solution.bands(),
             transfer: stages::transfer_level(&found),
             rays: found.transfer.traced.rays,
             vertices: prepared.mesh.positions.len(),

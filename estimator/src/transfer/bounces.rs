@@ -22,6 +22,8 @@ const MAX_BOUNCES: u32 = 16;
 pub struct Bounced {
     /// `[vertex][channel][INDIRECT]`.
     rows: Vec<f32>,
+    /// What arrives of the sun by bounces, where it is beside the harmonics: `[vertex]`.
+    sun: Vec<Vec3>,
     /// Bounces made.
     pub bounces: u32,
     /// Share of all bounces in the light.
@@ -35,6 +37,11 @@ impl Bounced {
     pub(super) fn row(&self, vertex: usize, channel: usize) -> &[f32] {
         &self.rows[vertex * ROW + channel * INDIRECT..][..INDIRECT]
     }
+
+    /// The same of the sun; 0 without one.
+    pub(super) fn sun(&self, vertex: usize, channel: usize) -> f32 {
+        self.sun.get(vertex).map_or(0.0, |s| s[channel])
+    }
 }
 
 /// Bounces light between the vertices. `albedo` is `[vertex]`, linear RGB; `bounces` = 0 goes on until convergence and takes
@@ -44,7 +51,7 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
     let mut rows = vec![0.0f32; traced.vertices() * ROW];
     let limit = if bounces == 0 { MAX_BOUNCES } else { bounces };
     let Series { bounces, share, last_share } = series::<INDIRECT>(traced, albedo, &mut rows, limit, bounces == 0);
-    Bounced { rows, bounces, share, last_share }
+    Bounced { rows, sun: bounced_sun(traced, albedo), bounces, share, last_share }
 }
 
 /// Bounces until convergence, starting from the bounces `from` for other albedos or rays: the fixed point is the same, and
@@ -52,7 +59,8 @@ pub fn bounce(traced: &Traced, albedo: &[Vec3], bounces: u32) -> Bounced {
 #[must_use]
 pub fn bounce_on(traced: &Traced, albedo: &[Vec3], mut from: Bounced) -> Bounced {
     let Series { bounces, share, last_share } = series::<INDIRECT>(traced, albedo, &mut from.rows, MAX_BOUNCES, true);
-    Bounced { rows: from.rows, bounces: from.bounces.max(bounces), share, last_share }
+    let (sun, bounces) = (bounced_sun(traced, albedo), from.bounces.max(bounces));
+    Bounced { rows: from.rows, sun, bounces, share, last_share }
 }
 
 /// Makes `bounces` bounces and scales each vertex and channel by the ratio of the converged series to them under a uniform
@@ -97,6 +105,15 @@ pub fn bounce_light(traced: &Traced, albedo: &[Vec3], direct: &[Vec3]) -> Vec<Ve
         before = now;
     }
     total
+}
+
+/// What arrives of the sun by bounces, `[vertex]`; empty without one.
+fn bounced_sun(traced: &Traced, albedo: &[Vec3]) -> Vec<Vec3> {
+    let Some(sun) = &traced.sun else { return Vec::new() };
+    let direct: Vec<Vec3> = sun.direct.iter().map(|e| Vec3::splat(*e)).collect();
+    let mut arriving = bounce_light(traced, albedo, &direct);
+    arriving.iter_mut().zip(&direct).for_each(|(all, direct)| *all -= *direct);
+    arriving
 }
 
 /// Summary of a series of bounces.

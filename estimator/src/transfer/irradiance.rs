@@ -22,9 +22,14 @@ impl Transfer {
         self.traced.bands * self.traced.bands
     }
 
-    /// Writes t_ik of one vertex and channel to `out`: `[k]`, at most bands² values.
+    /// Writes t_ik of one vertex and channel to `out`: `[k]`, at most bands² values; the sun's at the end, where there is one.
     pub fn row(&self, vertex: usize, channel: usize, out: &mut [f64]) {
         let k = self.coefficients();
+        let (out, last) = out.split_at_mut(self.harmonics(out.len()));
+        if let (Some(sun), Some(last)) = (&self.traced.sun, last.first_mut()) {
+            let bounced = self.bounced.as_ref().map_or(0.0, |b| b.sun(vertex, channel));
+            *last = f64::from(sun.direct[vertex] + bounced);
+        }
         let direct = &self.traced.direct[vertex * k..(vertex + 1) * k];
         out.iter_mut().zip(direct).for_each(|(o, t)| *o = f64::from(*t));
         if let Some(bounced) = &self.bounced {
@@ -32,10 +37,16 @@ impl Transfer {
         }
     }
 
-    /// Irradiance over π under `light`, linear RGB: `[vertex]`. `light` is `[k][channel]`.
+    /// How many of so many coefficients are of harmonics: all but the sun's.
+    fn harmonics(&self, coefficients: usize) -> usize {
+        coefficients.saturating_sub(usize::from(self.traced.sun.is_some()))
+    }
+
+    /// Irradiance over π under `light`, linear RGB: `[vertex]`. `light` is `[k][channel]`, the sun's at the end, where there is one.
     #[must_use]
     pub fn irradiance(&self, light: &[[f64; 3]]) -> Vec<Vec3> {
         let k = self.coefficients();
+        let (light, suns) = light.split_at(self.harmonics(light.len()));
         (0..self.traced.vertices())
             .into_par_iter()
             .map(|i| {
@@ -49,6 +60,12 @@ impl Transfer {
                 if let Some(bounced) = &self.bounced {
                     for (c, sum) in sum.iter_mut().enumerate() {
                         *sum += bounced.row(i, c).iter().zip(light).map(|(t, l)| f64::from(*t) * l[c]).sum::<f64>();
+                    }
+                }
+                if let (Some(sun), Some(power)) = (&self.traced.sun, suns.first()) {
+                    for (c, sum) in sum.iter_mut().enumerate() {
+                        let bounced = self.bounced.as_ref().map_or(0.0, |b| b.sun(i, c));
+                        *sum += f64::from(sun.direct[i] + bounced) * power[c];
                     }
                 }
                 Vec3::new(sum[0] as f32, sum[1] as f32, sum[2] as f32)

@@ -7,6 +7,7 @@
 
 mod bounces;
 mod irradiance;
+mod sun;
 #[cfg(test)]
 mod tests;
 mod traced;
@@ -15,5 +16,6 @@ mod vertex;
 
 pub use bounces::{Bounced, bounce, bounce_light, bounce_on, bounce_scaled};
 pub use irradiance::Transfer;
+pub use sun::Sun;
 pub use traced::{ERROR_OF_TWICE, Traced, unoccluded};
 pub use tracer::Tracer;

@@ -3,8 +3,10 @@
 use crate::rays::RayScene;
 use crate::transfer::bounces::{bounce, bounce_light, bounce_on, bounce_scaled};
 use crate::transfer::irradiance::Transfer;
+use crate::transfer::sun::Sun;
 use crate::transfer::tracer::{MAX_HITS, Tracer, kept_rays};
 use glam::Vec3;
+use recordings::local_light::Lamp;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
@@ -50,6 +52,30 @@ fn scaled_bounces_come_near_the_converged_series() {
     let grey = bounce(&traced, &vec![Vec3::splat(0.4); albedo.len()], 0);
     let (before, on) = (off(arriving(grey.clone())), off(arriving(bounce_on(&traced, &albedo, grey))));
     assert!(before > 0.03 && on < 3e-3, "from other albedos: {on}, which were {before} off");
+}
+
+#[test]
+fn the_sun_is_a_coefficient_more_and_bounces_as_other_light_does() {
+    let mesh = corner(24);
+    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
+    let lamp = Lamp { center: [1e4, 0.0, 1e4], radius_m: 10.0, radiance: [1.0; 3] };
+    let direct: Vec<f32> = mesh.normals.iter().map(|n| 0.1 * n.dot(Vec3::new(0.6, 0.0, 0.8))).collect();
+    let traced = tracer.trace(128, &|_| ()).with_sun(Sun { lamp, direct: direct.clone() });
+    let albedo = vec![Vec3::new(0.9, 0.6, 0.3); mesh.positions.len()];
+    let bounced = Some(bounce(&traced, &albedo, 0));
+    let transfer = Transfer { traced: Arc::new(traced), bounced };
+    let power = [1.0, 2.0, 3.0];
+    let irradiance = transfer.irradiance(&[[0.0; 3], [0.0; 3], [0.0; 3], [0.0; 3], power]);
+    let straight: Vec<Vec3> = direct.iter().map(|e| Vec3::new(1.0, 2.0, 3.0) * *e).collect();
+    let all = bounce_light(&transfer.traced, &albedo, &straight);
+    let mut row = [0.0; 5];
+    for (i, (found, all)) in irradiance.iter().zip(&all).enumerate() {
+        assert!(((*found - *all) / *all).abs().max_element() < 2e-3, "{found} instead of {all}");
+        transfer.row(i, 1, &mut row);
+        assert!((row[4] * power[1] - f64::from(found.y)).abs() < 1e-5 * f64::from(found.y), "{row:?}, {found}");
+    }
+    let share = irradiance.iter().zip(&straight).map(|(all, s)| ((*all - *s) / *all).max_element()).fold(0.0, f32::max);
+    assert!(share > 0.1, "bounced share {share}");
 }
 
 #[test]

@@ -1,20 +1,22 @@
 //! The result of tracing: direct transfer, blocked shares and hits.
 
 use crate::mesh::vertex_weight::vertex_weights;
+use crate::transfer::sun::Sun;
 use crate::transfer::vertex::{INDIRECT, cosine_lobe};
 use rayon::prelude::*;
 use recordings::types::Mesh;
+use std::sync::Arc;
 
 /// Error of the transfer with twice the rays of a scrambled Sobol set, over the error before. Measured.
 pub const ERROR_OF_TWICE: f64 = 0.6;
 
-/// Direct transfer and hits of every vertex. Light and albedo may change without another ray.
-#[derive(Debug)]
+/// Direct transfer and hits of every vertex. Light and albedo may change without another ray. Clones share what is large.
+#[derive(Debug, Clone)]
 pub struct Traced {
     /// SH bands of `direct`.
     pub bands: usize,
     /// Transfer without interreflection: `[vertex][bands²]`.
-    pub direct: Vec<f32>,
+    pub direct: Arc<Vec<f32>>,
     /// Cosine-weighted share of the hemisphere that is blocked: `[vertex]`.
     pub blocked: Vec<f32>,
     /// Estimated error of the first five bands of `direct`, as a norm over them: `[vertex]`.
@@ -24,11 +26,13 @@ pub struct Traced {
     /// Rays per vertex.
     pub rays: u32,
     /// Start of each vertex's hits in `corners`: `[vertex + 1]`.
-    pub(super) offsets: Vec<u32>,
+    pub(super) offsets: Arc<Vec<u32>>,
     /// One vertex of the triangle of each hit, drawn by its barycentric weight.
-    pub(super) corners: Vec<u32>,
+    pub(super) corners: Arc<Vec<u32>>,
     /// Rays per vertex whose hits are kept.
     pub(super) hit_rays: u32,
+    /// The sun, where there is one beside the harmonics.
+    pub sun: Option<Arc<Sun>>,
 }
 
 /// Transfer of the cosine alone, in closed form.
@@ -39,14 +43,15 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
     direct.par_chunks_mut(k).zip(&mesh.normals).for_each(|(row, n)| cosine_lobe(*n, row));
     Traced {
         bands,
-        direct,
+        direct: direct.into(),
         blocked: vec![0.0; vertices],
         error: vec![0.0; vertices],
         vertex_weight: vertex_weights(mesh),
         rays: 0,
-        offsets: vec![0; vertices + 1],
-        corners: Vec::new(),
+        offsets: vec![0; vertices + 1].into(),
+        corners: Arc::default(),
         hit_rays: 0,
+        sun: None,
     }
 }
 
@@ -90,6 +95,12 @@ impl Traced {
             .collect()
     }
 
+    /// The same with the sun beside the harmonics.
+    #[must_use]
+    pub fn with_sun(&self, sun: Sun) -> Self {
+        Self { sun: Some(Arc::new(sun)), ..self.clone() }
+    }
+
     /// Rays per vertex whose hits are held.
     #[must_use]
     pub fn hit_rays(&self) -> u32 {
@@ -117,12 +128,13 @@ impl Traced {
             offsets.push(corners.len() as u32);
         }
         Self {
-            direct: mean(&self.direct, &more.direct),
+            direct: mean(&self.direct, &more.direct).into(),
             blocked: mean(&self.blocked, &more.blocked),
             error: more.error.iter().map(|e| shrunk * e).collect(),
             rays,
-            offsets,
-            corners,
+            offsets: offsets.into(),
+            corners: corners.into(),
+            sun: self.sun.clone(),
             ..more
         }
     }

@@ -129,14 +129,15 @@ impl Tracer<'_> {
         let rays = range.end - range.start;
         Some(Traced {
             bands,
-            direct,
+            direct: direct.into(),
             blocked,
             error,
             vertex_weight: vertex_weights(mesh),
             rays,
-            offsets,
-            corners,
+            offsets: offsets.into(),
+            corners: corners.into(),
             hit_rays,
+            sun: None,
         })
     }
 }
