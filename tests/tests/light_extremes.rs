@@ -99,7 +99,7 @@ fn closed_sphere_is_the_geometric_series() {
     let mut traced = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 1, seed: 1 }.trace(64, &|_| ());
     assert!(traced.blocked.iter().all(|b| *b == 1.0), "no ray leaves a closed sphere");
     // Emission in the place of light from outside.
-    traced.direct.fill(1.0);
+    Arc::make_mut(&mut traced.direct).fill(1.0);
     let traced = Arc::new(traced);
     for rho in [0.001f32, 0.5, 0.9, 0.999] {
         let bounced = transfer::bounce(&traced, &vec![Vec3::splat(rho); mesh.positions.len()], 0);

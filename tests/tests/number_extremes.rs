@@ -299,7 +299,7 @@ fn solving_in_single_precision_is_that_in_double() {
 fn bounces_are_accelerated() {
     let mesh = globe(12, 1.0, -1.0);
     let mut traced = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 1, seed: 1 }.trace(64, &|_| ());
-    traced.direct.fill(1.0);
+    Arc::make_mut(&mut traced.direct).fill(1.0);
     let white = vec![Vec3::splat(0.999); mesh.positions.len()];
     let fast = transfer::bounce(&traced, &white, 0);
     assert!(fast.bounces <= 16, "{}", fast.bounces);
