@@ -57,9 +57,7 @@ impl Factorised {
             bounced: self.transfer.bounced.clone(),
         }
     }
-}
 
-impl Factorised {
     /// The light in the bands that mirrors show, the sun with the rest: `[k][channel]`.
     #[must_use]
     pub fn mirrored_light(&self) -> Cow<'_, [[f64; 3]]> {

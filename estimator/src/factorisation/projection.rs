@@ -27,20 +27,16 @@ impl Projection {
         Self(projection)
     }
 
-    /// The same with one direction more, the sun's, whose radiance is a coefficient of its own.
-    #[must_use]
-    pub fn with_sun(self) -> Self {
-        let (k, directions) = self.0.shape();
-        let mut projection = self.0.resize(k + 1, directions + 1, 0.0);
-        projection[(k, directions)] = 1.0;
-        Self(projection)
-    }
-
-    /// For the harmonics of `bands` and for the sun, if the transfer has one.
+    /// For the harmonics of `bands` and, if the transfer has a sun, for one direction more, whose radiance is a coefficient of its own.
     #[must_use]
     pub fn of(transfer: &Transfer, bands: usize) -> Self {
-        let harmonics = Self::new(bands * bands);
-        if transfer.traced.sun.is_some() { harmonics.with_sun() } else { harmonics }
+        let Self(mut projection) = Self::new(bands * bands);
+        if transfer.traced.sun.is_some() {
+            let (k, directions) = projection.shape();
+            projection = projection.resize(k + 1, directions + 1, 0.0);
+            projection[(k, directions)] = 1.0;
+        }
+        Self(projection)
     }
 
     /// Number of directions.

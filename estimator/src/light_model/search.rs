@@ -24,9 +24,9 @@ const FAR: f32 = 20.0;
 const LATTICE_SAMPLES: usize = 700;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
 const SOLVED: usize = 6;
+const APART: f32 = 1.6;
 /// Directions that are refined: shadows make several that are nearly as good.
 const REFINED: usize = 3;
-const APART: f32 = 1.6;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
 const EVALUATIONS: usize = 60;

@@ -34,10 +34,9 @@ impl Choice<'_> {
         let albedo = with.solved.albedo;
         let traced = Arc::new(found.transfer.traced.with_sun(self.sun(&sphere)));
         let sunny = factorise(traced, &self.scene.colors, options, Some(found.start_with(albedo)));
-        let radiance = &sunny.solution.radiance;
-        let (rest, sun) = radiance.split_at(directions().len().min(radiance.len()));
-        let mean = rest.iter().map(luminance_f64).sum::<f64>() / rest.len() as f64;
-        if luminance_f64(sun.first()?) < LEAST * mean {
+        let count = directions().len();
+        let mean = sunny.solution.radiance.iter().take(count).map(luminance_f64).sum::<f64>() / count as f64;
+        if luminance_f64(&sunny.solution.sun()?) < LEAST * mean {
             return None;
         }
         let at = |n: usize| sunny.irradiance[self.samples.vertex[n] as usize].to_array().map(f64::from);

@@ -1,6 +1,7 @@
 //! Transfer rows and irradiance: E_i = Σ_k t_ik i_k.
 
 use crate::transfer::bounces::Bounced;
+use crate::transfer::sun::Sun;
 use crate::transfer::traced::Traced;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -27,8 +28,7 @@ impl Transfer {
         let k = self.coefficients();
         let (out, last) = out.split_at_mut(self.harmonics(out.len()));
         if let (Some(sun), Some(last)) = (&self.traced.sun, last.first_mut()) {
-            let bounced = self.bounced.as_ref().map_or(0.0, |b| b.sun(vertex, channel));
-            *last = f64::from(sun.direct[vertex] + bounced);
+            *last = self.of_sun(sun, vertex, channel);
         }
         let direct = &self.traced.direct[vertex * k..(vertex + 1) * k];
         out.iter_mut().zip(direct).for_each(|(o, t)| *o = f64::from(*t));
@@ -40,6 +40,12 @@ impl Transfer {
     /// How many of so many coefficients are of harmonics: all but the sun's.
     fn harmonics(&self, coefficients: usize) -> usize {
         coefficients.saturating_sub(usize::from(self.traced.sun.is_some()))
+    }
+
+    /// The transfer of the sun, straight and by bounces.
+    fn of_sun(&self, sun: &Sun, vertex: usize, channel: usize) -> f64 {
+        let bounced = self.bounced.as_ref().map_or(0.0, |b| b.sun(vertex, channel));
+        f64::from(sun.direct[vertex] + bounced)
     }
 
     /// Irradiance over π under `light`, linear RGB: `[vertex]`. `light` is `[k][channel]`, the sun's at the end, where there is one.
@@ -64,8 +70,7 @@ impl Transfer {
                 }
                 if let (Some(sun), Some(power)) = (&self.traced.sun, suns.first()) {
                     for (c, sum) in sum.iter_mut().enumerate() {
-                        let bounced = self.bounced.as_ref().map_or(0.0, |b| b.sun(i, c));
-                        *sum += f64::from(sun.direct[i] + bounced) * power[c];
+                        *sum += self.of_sun(sun, i, c) * power[c];
                     }
                 }
                 Vec3::new(sum[0] as f32, sum[1] as f32, sum[2] as f32)

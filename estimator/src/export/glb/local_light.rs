@@ -6,14 +6,14 @@ use recordings::local_light::{Emitter, Lamp};
 use serde_json::{Value, json};
 use std::f64::consts::PI;
 
+/// A lamp this many radii of the scene away is a direction: readers have near and far planes, and falloff in single precision.
+const FAR: f32 = 200.0;
+
 /// A colour whose largest channel is 1, and the factor that was taken out.
 fn normalised(rgb: [f64; 3]) -> ([f64; 3], f64) {
     let most = rgb.iter().copied().fold(0.0, f64::max);
     if most > 0.0 { (rgb.map(|c| c / most), most) } else { ([0.0; 3], 0.0) }
 }
-
-/// A lamp this many radii of the scene away is a direction: readers have near and far planes, and falloff in single precision.
-const FAR: f32 = 200.0;
 
 /// From the middle of the scene to a lamp, if that is so far away that it is a direction.
 fn to_sun(lamp: &Lamp, scene: &BoundingSphere) -> Option<Vec3> {
