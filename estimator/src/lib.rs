@@ -41,15 +41,11 @@ pub mod transfer;
 pub mod validation;
 
 use crate::budget::{Machine, WallClock};
-use crate::factorisation::factorise;
-use crate::specular::Gloss;
-use crate::stages::{Answer, Run};
-use firmware_config::{EstimatorConfig, SolverChoice};
+use crate::stages::Run;
+use firmware_config::EstimatorConfig;
 use recordings::decision::Milestone;
-use recordings::local_light::LightModel;
 use recordings::result::Estimate;
 use recordings::scan::Scan;
-use std::sync::Arc;
 
 pub use api::{EstimateError, Options, Progress, Reference};
 
@@ -84,44 +80,13 @@ pub fn estimate_on(
     // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
     let mut prepared = stages::prepare(scan, &mut run)?;
 
-    // §3.3: transfer (Eq. 8), then light and albedo (Eqs. 9–12).
-    let traced = stages::trace(&prepared, &mut run);
-    let model = stages::select_model(&mut prepared, traced, &mut run);
-    let mut found = factorise(Arc::clone(&model.traced), &prepared.colors(), &model.options, model.start);
-    run.plan.light_done(model.traced.mean_blocked(), model.options.bands);
+    // §3.3: transfer (Eq. 8), light and albedo (Eqs. 9–12).
+    let mut solved = stages::light_and_albedo(&mut prepared, &mut run);
+    let (early, near) = (&mut solved.answer, &solved.local_light);
+    stages::hand_over(scan, &mut prepared, early, near, None, Milestone::Albedo, &mut run);
 
-    // Light that is not distant, where held-out surface asks for it (N1).
-    let local_light = stages::select_local_light(&mut prepared, &mut found, &model.options, &mut run);
-
-    let mut early = Answer { found, gloss: vec![Gloss::NONE; prepared.segments] };
-    stages::hand_over(scan, &mut prepared, &mut early, &local_light, None, Milestone::Albedo, &mut run);
-    let Answer { mut found, gloss: none } = early;
-
-    // §3.2 again: segments that creases divide. Glare of the lens. Segments of like albedo are one material.
-    let (blocked, bands) = (model.traced.mean_blocked(), model.options.bands);
-    if local_light.model == LightModel::Distant && run.plan.materials(blocked, bands) {
-        if config.solver == SolverChoice::Robust {
-            found = stages::divide_segments(&mut prepared, found, &model.options, config);
-            found = stages::remove_veil(&mut prepared, found, &model.options, config);
-            found = stages::merge_materials(&mut prepared, found, &model.options, config);
-        }
-        run.plan.materials_done(blocked, bands);
-    }
-
-    // §3.4: specular weights (Eq. 13), and the factorisation without gloss.
-    let lit_with_gloss = prepared.fields.lit_color.clone();
-    let mut answer = if local_light.model == LightModel::Distant {
-        let mut answer = stages::remove_gloss(&mut prepared, found, &model.options, &mut run);
-        answer.found = stages::spend(&mut prepared, answer.found, &model.options, &mut run);
-        stages::check_distance(&mut prepared, &answer.found, config);
-        // The factor per channel that Eq. (9) leaves free (S1).
-        stages::fix_scale(&mut prepared, &mut answer, config);
-        answer
-    } else {
-        // Eq. (13) mirrors distant light alone.
-        Answer { found, gloss: none }
-    };
-
+    // §3.2 again: materials. §3.4: specular weights (Eq. 13), and the factorisation without gloss.
+    let (mut answer, local_light, lit_with_gloss) = stages::materials_and_gloss(&mut prepared, solved, &mut run);
     stages::name_materials(&mut prepared, &mut answer, config);
     let light = stages::light(&prepared, &answer, local_light.model, config);
     stages::hand_over(scan, &mut prepared, &mut answer, &local_light, Some(&light), Milestone::Gloss, &mut run);

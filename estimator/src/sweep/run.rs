@@ -4,7 +4,7 @@ use crate::api::EstimateError;
 use crate::api::Options;
 use crate::api::Progress;
 use crate::budget::{self, Done, Machine, WallClock};
-use crate::factorisation::{FactorisationOptions, Factorised, Start, factorise};
+use crate::factorisation::{FactorisationOptions, Factorised, factorise};
 use crate::numerics::sh::MAX_BANDS;
 use crate::specular::refit::{Refitted, refit};
 use crate::stages::{self, Prepared, Run};
@@ -92,16 +92,6 @@ pub fn sweep(
     Ok(points)
 }
 
-/// What follows the first factorisation of a setting.
-enum Specular<'r, 'a> {
-    /// Nothing: the setting has no specular step of ours.
-    Skip,
-    /// Specular weights and one factorisation without gloss.
-    Refit,
-    /// As `lumiscan estimate` does: also the refinement after it.
-    RefitAndRefine(&'r mut Run<'a>),
-}
-
 struct Sweep<'a> {
     scan: &'a Scan,
     truth: &'a Truth,
@@ -147,18 +137,19 @@ impl<'a> Sweep<'a> {
         Ok(())
     }
 
+    /// Everything as `lumiscan estimate` does it.
     fn automatic(&mut self, name: &str, config: &EstimatorConfig, shared: &mut Shared) {
-        let before = self.clock.now();
         let mut run = Run::new(self.clock, self.scan, config, &UNLIMITED, self.progress, Done::default());
-        let traced = stages::trace(&shared.prepared, &mut run);
-        let model = stages::select_model(&mut shared.prepared, traced, &mut run);
-        let traced = (model.traced, self.clock.now() - before);
-        self.point(name, shared, &traced, &model.options, model.start, Specular::RefitAndRefine(&mut run));
+        self.point(name, shared, 0.0, |_, prepared| {
+            let solved = stages::light_and_albedo(prepared, &mut run);
+            let (answer, ..) = stages::materials_and_gloss(prepared, solved, &mut run);
+            answer.found
+        });
     }
 
     fn grid(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64), transfer: TransferLevel, bands: usize) {
         let options = self.options(transfer == TransferLevel::Gi, bands, SolverChoice::Robust);
-        self.point("grid", shared, traced, &options, None, Specular::Refit);
+        self.setting("grid", shared, traced, &options, true);
     }
 
     fn options(&self, gi: bool, bands: usize, solver: SolverChoice) -> FactorisationOptions<'a> {
@@ -170,48 +161,56 @@ impl<'a> Sweep<'a> {
     /// and the nonsegmented one, with bands and specular refit as in `auto`, so that the solver alone differs.
     fn paper_solver(&mut self, shared: &mut Shared, traced: &(Arc<Traced>, f64)) {
         let auto = self.points.first().map_or(PAPER_BANDS, |p| p.bands);
-        for (name, bands, solver, specular) in [
-            ("paper", PAPER_BANDS, SolverChoice::Literal, Specular::Skip),
-            ("literal", auto, SolverChoice::Literal, Specular::Refit),
-            ("nonsegmented", auto, SolverChoice::Nonsegmented, Specular::Refit),
+        for (name, bands, solver, removes_gloss) in [
+            ("paper", PAPER_BANDS, SolverChoice::Literal, false),
+            ("literal", auto, SolverChoice::Literal, true),
+            ("nonsegmented", auto, SolverChoice::Nonsegmented, true),
         ] {
             let options = self.options(true, bands, solver);
-            self.point(name, shared, traced, &options, None, specular);
+            self.setting(name, shared, traced, &options, removes_gloss);
         }
     }
 
-    fn point(
+    /// One factorisation, and where gloss is removed, specular weights and another one without it.
+    fn setting(
         &mut self,
         name: &str,
         shared: &mut Shared,
         traced: &(Arc<Traced>, f64),
         options: &FactorisationOptions,
-        start: Option<Start>,
-        specular: Specular,
+        removes_gloss: bool,
+    ) {
+        self.point(name, shared, traced.1, |sweep, prepared| {
+            let found = factorise(Arc::clone(&traced.0), &prepared.colors(), options, None);
+            if !removes_gloss || sweep.config.specular == Switch::Off {
+                return found;
+            }
+            let (surface, fields) = prepared.surface();
+            let Refitted { found, .. } = refit(&surface, fields, found, options, &sweep.config.tuning.specular);
+            found
+        });
+    }
+
+    /// Measures what `solve` finds, whose transfer took `tracing` seconds before.
+    fn point(
+        &mut self,
+        name: &str,
+        shared: &mut Shared,
+        tracing: f64,
+        solve: impl FnOnce(&Self, &mut Prepared) -> Factorised,
     ) {
         if self.is_over() {
             return;
         }
         self.progress.stage("factorisation", 0.0);
         let prepared = &mut shared.prepared;
-        // The refit takes gloss out of exposures and lit colours: they are restored for the next setting.
+        // Glare and gloss are taken out of exposures and lit colours, and segments change: all is restored for the next setting.
         let fields = prepared.fields.clone();
-        let before = self.clock.now();
-        let mut found = factorise(Arc::clone(&traced.0), &prepared.colors(), options, start);
-        if self.config.specular != Switch::Off && !matches!(specular, Specular::Skip) {
-            let (surface, fields) = prepared.surface();
-            let Refitted { found: without_gloss, gloss, .. } =
-                refit(&surface, fields, found, options, &self.config.tuning.specular);
-            found = without_gloss;
-            if let Specular::RefitAndRefine(run) = specular
-                && gloss.iter().any(|g| g.significant)
-            {
-                found = stages::refine(prepared, found, options, run);
-            }
-        }
-        let seconds = shared.seconds + traced.1 + self.clock.now() - before;
+        let (segment, segments) = (prepared.segment.clone(), prepared.segments);
+        let (found, seconds) = self.timed(|sweep| solve(sweep, prepared));
+        let seconds = shared.seconds + tracing + seconds;
         let (albedo_error, irradiance_error) = self.errors(prepared, &found);
-        prepared.fields = fields;
+        (prepared.fields, prepared.segment, prepared.segments) = (fields, segment, segments);
         self.points.push(Point {
             name: name.into(),
             bands: found.solution.bands(),
