@@ -24,6 +24,7 @@ pub mod re_exposure;
 pub mod response;
 pub mod sampling;
 pub mod seen_lamps;
+pub mod sharpening;
 pub mod veil;
 pub mod veil_removal;
 

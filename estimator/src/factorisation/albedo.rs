@@ -16,6 +16,8 @@ pub struct Detail {
     pub albedo: Vec<Vec3>,
     /// Confidence, 0 (never seen, or unlit) to 1: `[vertex]`.
     pub confidence: Vec<f32>,
+    /// The share of its difference from the segment that is taken for paint: `[vertex]`.
+    pub painted: Vec<f32>,
 }
 
 /// An albedo bounded to what is physically plausible.
@@ -66,13 +68,13 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
     let texture = |s: usize| (spreads[s].deviation * spreads[s].deviation - unexplained * unexplained).max(0.0);
     let brightness = medians(evidence, segment_albedo.len());
     let vector = |a: [f64; 3]| Vec3::from_array(a.map(|x| x as f32));
-    let (albedo, confidence) = (0..count)
+    let each: Vec<(Vec3, f32, f32)> = (0..count)
         .into_par_iter()
         .map(|i| {
             let segment = colors.segment[i] as usize;
             let base = segment_albedo.get(segment).copied().unwrap_or([tuning.initial_albedo; 3]);
             let Some(log) = logs[i] else {
-                return (vector(base), 0.0);
+                return (vector(base), 0.0, 0.0);
             };
             let relative_light = f64::from(irradiance[i].element_sum()) / brightness[segment].max(1e-30);
             let light_error = tuning.light_error / relative_light.clamp(1e-3, 1.0);
@@ -87,10 +89,15 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             (
                 vector(albedo),
                 (seen / (1.0 + variance / (tuning.half_confidence_error * tuning.half_confidence_error))) as f32,
+                detail_share as f32,
             )
         })
-        .unzip();
-    Detail { albedo, confidence }
+        .collect();
+    Detail {
+        albedo: each.iter().map(|e| e.0).collect(),
+        confidence: each.iter().map(|e| e.1).collect(),
+        painted: each.iter().map(|e| e.2).collect(),
+    }
 }
 
 /// How far the log albedos of a segment's vertices lie from the segment's.

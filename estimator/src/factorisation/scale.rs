@@ -130,6 +130,7 @@ mod tests {
                 detail: Detail {
                     albedo: albedo.iter().map(|a| *a * gauge).collect(),
                     confidence: vec![1.0; segment.len()],
+                    painted: vec![1.0; segment.len()],
                 },
                 segment,
             }

@@ -142,7 +142,8 @@ impl<'a> Sweep<'a> {
         let mut run = Run::new(self.clock, self.scan, config, &UNLIMITED, self.progress, Done::default());
         self.point(name, shared, 0.0, |_, prepared| {
             let solved = stages::light_and_albedo(prepared, &mut run);
-            let (answer, ..) = stages::materials_and_gloss(prepared, solved, &mut run);
+            let (mut answer, _, mut with_gloss) = stages::materials_and_gloss(prepared, solved, &mut run);
+            stages::sharpen(prepared, &mut answer.found, &mut with_gloss);
             answer.found
         });
     }

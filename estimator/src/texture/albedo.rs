@@ -1,6 +1,7 @@
 //! The albedo texture: radiance of the texels, less gloss, over the light at the vertices.
 
 use crate::association::AssociationContext;
+use crate::association::sharpening::sharper;
 use crate::export::picture::encode_jpeg;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
 use crate::texture::mutual::register_views;
@@ -23,6 +24,10 @@ const MIN_MATTE: f32 = 0.05;
 const MAX_SCALE: f32 = 3.0;
 /// Share of the page whose texels may be cut at the largest value: specks of gloss do not make all else coarser.
 const CUT_SHARE: f64 = 1e-3;
+/// Variance of the blur of lens and interpolation along each axis, pixels².
+const BLUR_PX2: f32 = 0.4;
+/// More than this share of a texel's difference from its neighbours is not put back: noise would be.
+const MOST_LOST: f32 = 0.65;
 /// Rings of empty texels around the charts that take their mean colour, for coarse mipmaps and the blocks of JPEG.
 const FILL_RINGS: usize = 8;
 
@@ -57,7 +62,8 @@ pub fn texture(
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
-    let (albedo, seen) = texels(context, &views, &atlas, colors);
+    let (mut albedo, seen) = texels(context, &views, &atlas, colors);
+    albedo = sharpened(&albedo, &atlas, footprint);
     let scale = scale(&albedo);
     let mut pixels = encoded(&albedo, scale);
     drop(albedo);
@@ -133,6 +139,20 @@ fn texels(
         })
         .collect();
     (texels, seen.into_iter().sum())
+}
+
+/// Texels without the blur of lens and pixels as wide as `footprint`, within their charts.
+fn sharpened(texels: &[Vec3], atlas: &Atlas, footprint: f32) -> Vec<Vec3> {
+    let per_texel = footprint / atlas.texel;
+    let lost = (2.0 * BLUR_PX2 * per_texel * per_texel).min(MOST_LOST);
+    let width = atlas.width as usize;
+    let chart = |at: usize| atlas.owner.get(at).filter(|o| **o != EMPTY).map(|o| atlas.chart[*o as usize]);
+    let sharp = |at: usize| {
+        let Some(own) = chart(at) else { return texels[at] };
+        let around = [at.wrapping_sub(1), at + 1, at.wrapping_sub(width), at + width];
+        sharper(texels[at], around.into_iter().filter(|k| chart(*k) == Some(own)).map(|k| texels[k]), lost)
+    };
+    (0..texels.len()).into_par_iter().map(sharp).collect()
 }
 
 /// The albedo that 255 stands for: 1, or more where texels are brighter than that. Vertices of white paper have the mean of
