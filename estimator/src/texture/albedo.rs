@@ -62,8 +62,10 @@ pub fn texture(
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
-    let (mut albedo, seen) = texels(context, &views, &atlas, colors);
-    albedo = sharpened(&albedo, &atlas, footprint);
+    let (blurred, seen) = texels(context, &views, &atlas, colors);
+    drop(views);
+    let albedo = sharpened(&blurred, &seen, &atlas, footprint);
+    drop(blurred);
     let scale = scale(&albedo);
     let mut pixels = encoded(&albedo, scale);
     drop(albedo);
@@ -78,7 +80,7 @@ pub fn texture(
         texel_m: f64::from(atlas.texel),
         charts: atlas.charts.len() as u32,
         texels: texels as u32,
-        seen: seen as f64 / texels.max(1) as f64,
+        seen: seen.iter().filter(|s| **s).count() as f64 / texels.max(1) as f64,
     };
     let Atlas { width, height, texel, charts, chart, .. } = atlas;
     let texture = Texture { width, height, texel_m: texel, scale, charts, chart, jpeg };
@@ -100,53 +102,51 @@ fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32>
     smallest.get((share * smallest.len() as f64) as usize).or(smallest.last()).copied()
 }
 
-/// Albedo of the texels, `[row][column]`, black where there is no surface, and the number of texels that a keyframe shows.
+/// Albedo of the texels, `[row][column]`, black where there is no surface, and which of them a keyframe shows.
 fn texels(
     context: &AssociationContext,
     views: &[TextureView],
     atlas: &Atlas,
     colors: VertexColors,
-) -> (Vec<Vec3>, usize) {
+) -> (Vec<Vec3>, Vec<bool>) {
     let (width, mesh) = (atlas.width as usize, context.mesh);
     let power = context.config.tuning.texture.weight_power as f32;
     let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
-    let rows = texels.par_chunks_mut(width).zip(atlas.owner.par_chunks(width)).enumerate();
-    let seen: Vec<usize> = rows
-        .map(|(y, (texels, owners))| {
-            let (mut samples, mut seen): (Vec<ViewSample>, usize) = (Vec::new(), 0);
-            for (x, &owner) in owners.iter().enumerate().filter(|(_, owner)| **owner != EMPTY) {
-                let corners = mesh.triangles[owner as usize];
-                let chart = &atlas.charts[atlas.chart[owner as usize] as usize];
-                let w = weights(chart, corners.map(|i| mesh.positions[i as usize]), Vec2::new(x as f32, y as f32));
-                let mix =
-                    |of: &[Vec3], w: [f32; 3]| corners.iter().zip(w).map(|(&i, w)| of[i as usize] * w).sum::<Vec3>();
-                let near = normalised(w);
-                let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
-                let mut albedo = mix(colors.albedo, near);
-                samples.clear();
-                samples.extend(views.iter().filter_map(|v| v.sample(context, point, normal, atlas.texel)));
-                if let Some(radiance) = blend(&mut samples, power) {
-                    seen += 1;
-                    if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
-                        let matte = mix(colors.matte, near);
-                        let gloss = mix(colors.with_gloss, near) - matte;
-                        albedo *= ratio((radiance - gloss).max(radiance * MIN_MATTE), matte);
-                    }
+    let mut seen = vec![false; atlas.owner.len()];
+    let rows = texels.par_chunks_mut(width).zip(seen.par_chunks_mut(width)).zip(atlas.owner.par_chunks(width));
+    rows.enumerate().for_each(|(y, ((texels, seen), owners))| {
+        let mut samples: Vec<ViewSample> = Vec::new();
+        for (x, &owner) in owners.iter().enumerate().filter(|(_, owner)| **owner != EMPTY) {
+            let corners = mesh.triangles[owner as usize];
+            let chart = &atlas.charts[atlas.chart[owner as usize] as usize];
+            let w = weights(chart, corners.map(|i| mesh.positions[i as usize]), Vec2::new(x as f32, y as f32));
+            let mix = |of: &[Vec3], w: [f32; 3]| corners.iter().zip(w).map(|(&i, w)| of[i as usize] * w).sum::<Vec3>();
+            let near = normalised(w);
+            let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
+            let mut albedo = mix(colors.albedo, near);
+            samples.clear();
+            samples.extend(views.iter().filter_map(|v| v.sample(context, point, normal, atlas.texel)));
+            if let Some(radiance) = blend(&mut samples, power) {
+                seen[x] = true;
+                if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
+                    let matte = mix(colors.matte, near);
+                    let gloss = mix(colors.with_gloss, near) - matte;
+                    albedo *= ratio((radiance - gloss).max(radiance * MIN_MATTE), matte);
                 }
-                texels[x] = albedo;
             }
-            seen
-        })
-        .collect();
-    (texels, seen.into_iter().sum())
+            texels[x] = albedo;
+        }
+    });
+    (texels, seen)
 }
 
-/// Texels without the blur of lens and pixels as wide as `footprint`, within their charts.
-fn sharpened(texels: &[Vec3], atlas: &Atlas, footprint: f32) -> Vec<Vec3> {
+/// Texels that keyframes show without the blur of lens and pixels as wide as `footprint`, within their charts.
+fn sharpened(texels: &[Vec3], seen: &[bool], atlas: &Atlas, footprint: f32) -> Vec<Vec3> {
     let per_texel = footprint / atlas.texel;
     let lost = (2.0 * BLUR_PX2 * per_texel * per_texel).min(MOST_LOST);
     let width = atlas.width as usize;
-    let chart = |at: usize| atlas.owner.get(at).filter(|o| **o != EMPTY).map(|o| atlas.chart[*o as usize]);
+    let is_seen = |at: &usize| seen.get(*at).is_some_and(|s| *s);
+    let chart = |at: usize| Some(at).filter(is_seen).map(|at| atlas.chart[atlas.owner[at] as usize]);
     let sharp = |at: usize| {
         let Some(own) = chart(at) else { return texels[at] };
         let around = [at.wrapping_sub(1), at + 1, at.wrapping_sub(width), at + width];
