@@ -61,8 +61,15 @@ impl Published {
     /// Asserts that three times forward and backward take the memory and give the surface of once, but for what three
     /// times the poses take.
     fn assert_flat(&self, name: &str, source: &Path) {
-        let thrice = Self::new(&format!("{name}_thrice"), source, &["--loop", "3", "--no-estimate"]);
-        let (a, b) = (self.peak_mib("capture"), thrice.peak_mib("capture"));
+        let again = |name: String| Self::new(&name, source, &["--loop", "3", "--no-estimate"]);
+        let thrice = again(format!("{name}_thrice"));
+        let (a, mut b) = (self.peak_mib("capture"), thrice.peak_mib("capture"));
+        // Beside a twentieth, what the allocator keeps from run to run.
+        let most = 1.05 * a + 2.0;
+        if b > most {
+            // By chance, as threads and allocator have it, or since memory grows: then it does in every run.
+            b = b.min(again(format!("{name}_thrice_again")).peak_mib("capture"));
+        }
         let count = |p: &Self| {
             let (vertices, blocks) = (&p.manifest["capture"]["vertices"], &p.stats()["blocks_used"]);
             (vertices.as_f64().unwrap(), blocks.as_f64().unwrap())
@@ -71,8 +78,7 @@ impl Published {
         println!("{name}: once {a:.1} MiB, {va} vertices, {ba} blocks; thrice {b:.1} MiB, {vb}, {bb}");
         assert!(thrice.stats()["pairs"].as_u64().unwrap() > 2 * self.stats()["pairs"].as_u64().unwrap());
         assert!(vb < 1.1 * va && bb < 1.1 * ba, "the surface grows");
-        // Beside a twentieth, what the allocator keeps from run to run.
-        assert!(b <= 1.05 * a + 2.0, "{a:.1} MiB became {b:.1} MiB");
+        assert!(b <= most, "{a:.1} MiB became {b:.1} MiB");
         assert!(b <= MAX_MIB, "{b:.1} MiB");
     }
 }
