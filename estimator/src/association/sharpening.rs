@@ -4,7 +4,7 @@
 //! of edge d, to first order: f + ½ σ² ∇²f, with ∇²f = 4 / d² (mean − f). As much is put back. Light is found from the colours as they
 //! were seen: what is put back would take noise at outlines for shading.
 
-use crate::mesh::graph::Graph;
+use crate::mesh::graph::{Graph, mean};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -27,8 +27,7 @@ pub fn sharp_colors(lit_color: &[Vec3], lit_weight: &[f32], graph: &Graph) -> Ve
 /// A colour that has lost this share of its difference from the mean of its neighbours.
 #[must_use]
 pub fn sharper(color: Vec3, neighbours: impl Iterator<Item = Vec3>, lost: f32) -> Vec3 {
-    let (sum, count) = neighbours.fold((Vec3::ZERO, 0.0), |(sum, n), color| (sum + color, n + 1.0));
-    if count == 0.0 { color } else { (color + lost * (color - sum / count)).max(LEAST_KEPT * color) }
+    mean(neighbours).map_or(color, |mean| (color + lost * (color - mean)).max(LEAST_KEPT * color))
 }
 
 #[cfg(test)]

@@ -118,11 +118,7 @@ impl Graph {
         let mut open: Vec<usize> = (0..colors.len()).filter(|&i| colors[i].is_none()).collect();
         for _ in 0..rings {
             let around = |i: usize| self.neighbours(i).iter().filter_map(|&j| colors[j as usize]);
-            let mean = |&i: &usize| {
-                let (sum, count) = around(i).fold((Vec3::ZERO, 0.0), |(s, n), c| (s + c, n + 1.0));
-                (count > 0.0).then(|| (i, sum / count))
-            };
-            let reached: Vec<(usize, Vec3)> = open.iter().filter_map(mean).collect();
+            let reached: Vec<(usize, Vec3)> = open.iter().filter_map(|&i| Some((i, mean(around(i))?))).collect();
             if reached.is_empty() {
                 break;
             }
@@ -130,6 +126,13 @@ impl Graph {
             open.retain(|&i| colors[i].is_none());
         }
     }
+}
+
+/// Mean of colours; `None` of none.
+#[must_use]
+pub fn mean(colors: impl Iterator<Item = Vec3>) -> Option<Vec3> {
+    let (sum, count) = colors.fold((Vec3::ZERO, 0.0), |(s, n), c| (s + c, n + 1.0));
+    (count > 0.0).then(|| sum / count)
 }
 
 /// Mean edge length at every vertex in the mesh's units, `[vertex]`; `fallback` where it has no edge.

@@ -4,6 +4,7 @@ use crate::api::EstimateError;
 use crate::association::response;
 use crate::association::{self, Association, AssociationContext, AssociationEffort};
 use crate::factorisation::{Colors, KnownAlbedo};
+use crate::mesh::graph::Graph;
 use crate::mesh::{clustering, regularise};
 use crate::rays::RayScene;
 use crate::segmentation;
@@ -24,6 +25,8 @@ pub struct Prepared {
     pub mesh: Mesh,
     /// The same for rays.
     pub scene: RayScene,
+    /// Its edges.
+    pub graph: Graph,
     /// Surface light field.
     pub fields: Association,
     /// Segment index: `[vertex]`.
@@ -108,8 +111,9 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
     let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
     let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
     plan.segmentation_done();
+    let graph = context.graph;
     let warnings = Vec::from_iter(mismatch);
     let shown = Shown { mesh: &mesh, scene: &scene, fields: &fields, segment: &segment };
     let known = run.options.reference.map(|stated| reference(&stated, &shown, scan)).transpose()?;
-    Ok(Prepared { mesh, scene, fields, segment, segments, background, known, decisions, warnings })
+    Ok(Prepared { mesh, scene, graph, fields, segment, segments, background, known, decisions, warnings })
 }

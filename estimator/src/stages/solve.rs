@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 /// Light and albedo of a prepared scan.
 pub struct Solved<'a> {
-    /// Distant light and albedo; no gloss yet.
+    /// Light and albedo; no gloss yet.
     pub answer: Answer,
     /// Light that is not distant.
     pub local_light: LocalLight,
