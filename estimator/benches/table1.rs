@@ -85,6 +85,7 @@ fn main() {
         let colors = Colors {
             lit_color: &fields.lit_color,
             lit_weight: &fields.lit_weight,
+            reliability: &fields.reliability,
             clipped: &fields.clipped,
             segment: &segment,
             segments,

@@ -56,6 +56,7 @@ impl Lit {
             transfer: &self.transfer,
             lit_color: &self.lit_color,
             lit_weight: &self.lit_weight,
+            reliability: &[],
             clipped: &self.clipped,
             segment: &self.segment,
             segments: self.segments,

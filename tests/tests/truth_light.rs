@@ -111,6 +111,7 @@ fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factor
     let colors = Colors {
         lit_color: &lit,
         lit_weight: &weight,
+        reliability: &[],
         clipped: &clipped,
         segment: &truth.material,
         segments,

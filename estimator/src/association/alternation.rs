@@ -10,6 +10,7 @@ use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, RefinedView, always_clipped};
 use crate::association::pose::PoseRefiner;
+use crate::association::reliability::{reliability, turns};
 use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
 use firmware_config::Switch;
@@ -86,6 +87,7 @@ pub fn associate_within(
     let (gains, decision) = exposure::solve(&field, &problem, &views, config.exposure);
     views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
     let lit = lit_colors(&field, &views);
+    let reliability = reliability(&lit, &context.graph, turns(context, &images, &field, &views));
     progress.stage("association", 1.0);
     let mut observations = field.observations;
     observations.par_iter_mut().for_each(|o| {
@@ -97,6 +99,7 @@ pub fn associate_within(
         veils,
         veil_share: 0.0,
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
+        reliability,
         lit_color: lit.color,
         lit_weight: lit.weight,
         clipped: always_clipped(&observations, &field.offsets),

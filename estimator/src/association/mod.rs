@@ -2,7 +2,7 @@
 //! robust lit colour per vertex, exposures and refined poses ([`alternation`] runs the steps in turn).
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`]; exposures, Eq. (5):
-//! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
+//! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; what they can be trusted for, [`reliability`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
 
@@ -21,6 +21,7 @@ pub mod observations;
 pub mod pose;
 pub mod predicted_image;
 pub mod re_exposure;
+pub mod reliability;
 pub mod response;
 pub mod sampling;
 pub mod seen_lamps;

@@ -40,6 +40,8 @@ pub struct Association {
     pub lit_color: Vec<Vec3>,
     /// Sum of the weights behind it, `[vertex]`; 0 for vertices that were never seen.
     pub lit_weight: Vec<f32>,
+    /// Share of its weight that a lit colour keeps beside brighter surface, 0 to 1: `[vertex]`.
+    pub reliability: Vec<f32>,
     /// Seen, but clipped in every keyframe: the lit colour is a lower bound. `[vertex]`
     pub clipped: Vec<bool>,
     /// `[keyframe]`.

@@ -139,6 +139,7 @@ mod tests {
             seen_lamps: Vec::new(),
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],
+            reliability: vec![1.0; n as usize],
             clipped: Vec::new(),
             views: gains.map(view).to_vec(),
             observations,

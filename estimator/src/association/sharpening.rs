@@ -8,8 +8,8 @@ use crate::mesh::graph::{Graph, mean};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// What is put back at the vertices: windows have σ² = (0.75 d)² / 6, a lens about a third as much.
-const AT_VERTICES: f32 = 0.25;
+/// What blur takes at the vertices, and is put back: windows have σ² = (0.75 d)² / 6, a lens about a third as much.
+pub const BLURRED: f32 = 0.25;
 /// A colour keeps this share of itself.
 const LEAST_KEPT: f32 = 0.3;
 
@@ -19,7 +19,7 @@ pub fn sharp_colors(lit_color: &[Vec3], lit_weight: &[f32], graph: &Graph) -> Ve
     let sharp = |i: usize| {
         let color = lit_color[i];
         let seen = graph.neighbours(i).iter().map(|k| *k as usize).filter(|k| lit_weight[*k] > 0.0);
-        if lit_weight[i] > 0.0 { sharper(color, seen.map(|k| lit_color[k]), AT_VERTICES) } else { color }
+        if lit_weight[i] > 0.0 { sharper(color, seen.map(|k| lit_color[k]), BLURRED) } else { color }
     };
     (0..lit_color.len()).into_par_iter().map(sharp).collect()
 }

@@ -105,6 +105,7 @@ mod tests {
         let mut fields = Association {
             lit_color: vec![Vec3::splat(seen)],
             lit_weight: vec![1.0],
+            reliability: vec![1.0],
             clipped: vec![false],
             views: vec![view],
             observations: vec![observation],

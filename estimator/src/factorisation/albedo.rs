@@ -1,6 +1,6 @@
 //! Albedo per vertex: the segment's albedo plus the detail that the lit colours show.
 
-use crate::factorisation::problem::Colors;
+use crate::factorisation::problem::{Colors, counted};
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
@@ -78,14 +78,14 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             };
             let relative_light = f64::from(irradiance[i].element_sum()) / brightness[segment].max(1e-30);
             let light_error = tuning.light_error / relative_light.clamp(1e-3, 1.0);
-            let color_error = tuning.color_error / libm::sqrt(f64::from(colors.lit_weight[i]).clamp(0.05, 1.0));
+            let seen = counted(colors.lit_weight, colors.reliability, i);
+            let color_error = tuning.color_error / libm::sqrt(seen.max(0.05));
             let variance = unexplained * unexplained
                 + light_error * light_error
                 + color_error * color_error
                 + f64::from(transfer_error[i] * transfer_error[i]);
             let detail_share = texture(segment) / (texture(segment) + variance);
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
-            let seen = f64::from(colors.lit_weight[i]).min(1.0);
             (
                 vector(albedo),
                 (seen / (1.0 + variance / (tuning.half_confidence_error * tuning.half_confidence_error))) as f32,
@@ -160,6 +160,7 @@ mod tests {
         let colors = Colors {
             lit_color: &lit_color,
             lit_weight: &weight,
+            reliability: &[],
             clipped: &clipped,
             segment: &segment,
             segments: 3,

@@ -191,6 +191,7 @@ mod tests {
         let colors = Colors {
             lit_color: &lit_color,
             lit_weight: &weight,
+            reliability: &[],
             clipped: &clipped,
             segment: &segment,
             segments: 2,

@@ -38,6 +38,8 @@ pub struct Colors<'a> {
     pub lit_color: &'a [Vec3],
     /// Weight of the lit colour, 0 = never seen: `[vertex]`.
     pub lit_weight: &'a [f32],
+    /// Share of its weight that the lit colour keeps beside brighter surface: `[vertex]`; empty where all are alike.
+    pub reliability: &'a [f32],
     /// The lit colour is a lower bound: `[vertex]`.
     pub clipped: &'a [bool],
     /// Segment index: `[vertex]`.
@@ -61,8 +63,8 @@ impl<'a> Colors<'a> {
     /// The same under a transfer.
     #[must_use]
     pub fn under(&self, transfer: &'a Transfer) -> Observed<'a> {
-        let Self { lit_color, lit_weight, clipped, segment, segments, .. } = *self;
-        Observed { transfer, lit_color, lit_weight, clipped, segment, segments }
+        let Self { lit_color, lit_weight, reliability, clipped, segment, segments, .. } = *self;
+        Observed { transfer, lit_color, lit_weight, reliability, clipped, segment, segments }
     }
 }
 
@@ -75,10 +77,20 @@ pub struct Observed<'a> {
     pub lit_color: &'a [Vec3],
     /// Weight of the lit colour, 0 = never seen: `[vertex]`.
     pub lit_weight: &'a [f32],
+    /// Share of its weight that the lit colour keeps beside brighter surface: `[vertex]`; empty where all are alike.
+    pub reliability: &'a [f32],
     /// The lit colour is a lower bound: `[vertex]`.
     pub clipped: &'a [bool],
     /// Segment index: `[vertex]`.
     pub segment: &'a [u32],
     /// Number of segments.
     pub segments: usize,
+}
+
+/// How far a lit colour counts where distant light is solved, 0 to 1: its weight up to 1, times the share that is reliable. Both are
+/// `[vertex]`.
+#[must_use]
+pub fn counted(lit_weight: &[f32], reliability: &[f32], vertex: usize) -> f64 {
+    let share = reliability.get(vertex).copied().unwrap_or(1.0);
+    f64::from(lit_weight[vertex].min(1.0) * share)
 }

@@ -3,7 +3,7 @@
 
 use crate::factorisation::alternation::{Alternation, EXACT, FIRST_REGULARISATION, Prior, ROUGH};
 use crate::factorisation::posterior::posterior;
-use crate::factorisation::problem::Observed;
+use crate::factorisation::problem::{Observed, counted};
 use crate::factorisation::projection::Projection;
 use crate::factorisation::scale::brightest_large;
 use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
@@ -159,7 +159,7 @@ impl<'a> Channel<'a> {
             let vertex = s.vertex as usize;
             let vertex_weight = f64::from(self.observed.transfer.traced.vertex_weight[vertex]);
             let known = if self.observed.clipped[vertex] { CLIPPED } else { 1.0 };
-            let seen = f64::from(self.observed.lit_weight[vertex]).min(1.0) * vertex_weight * known;
+            let seen = counted(self.observed.lit_weight, self.observed.reliability, vertex) * vertex_weight * known;
             let size = self.size(s, *predicted);
             s.count * seen / (size * size * (1.0 + gloss[s.segment as usize]))
         };
@@ -226,6 +226,7 @@ mod tests {
             transfer: &transfer,
             lit_color: &lit_color,
             lit_weight: &vec![1.0; normals.len()],
+            reliability: &[],
             clipped: &clipped,
             segment: &segment,
             segments: 3,

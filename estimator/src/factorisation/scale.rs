@@ -141,7 +141,15 @@ mod tests {
             let lit_weight = vec![1.0; segment.len()];
             let segments = solution.albedo.len();
             let clipped = vec![false; segment.len()];
-            let colors = Colors { lit_color, lit_weight: &lit_weight, clipped: &clipped, segment, segments, known };
+            let colors = Colors {
+                lit_color,
+                lit_weight: &lit_weight,
+                reliability: &[],
+                clipped: &clipped,
+                segment,
+                segments,
+                known,
+            };
             fix(Scaled { solution, detail, irradiance, deviation }, &colors, &FactorisationTuning::default())
         }
     }

@@ -90,6 +90,7 @@ fn chosen_with(
     let colors = Colors {
         lit_color: &lit_color,
         lit_weight: &weight,
+        reliability: &[],
         clipped: &clipped,
         segment: &segment,
         segments: ALBEDO.len(),

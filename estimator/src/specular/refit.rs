@@ -130,7 +130,15 @@ fn fit_and_expose(
 impl Surface<'_> {
     fn colors<'a>(&'a self, lit_color: &'a [Vec3], fields: &'a Association) -> Colors<'a> {
         let Surface { segment, segments, known, .. } = *self;
-        Colors { lit_color, lit_weight: &fields.lit_weight, clipped: &fields.clipped, segment, segments, known }
+        Colors {
+            lit_color,
+            lit_weight: &fields.lit_weight,
+            reliability: &fields.reliability,
+            clipped: &fields.clipped,
+            segment,
+            segments,
+            known,
+        }
     }
 
     fn reflection<'a>(&'a self, found: &'a Factorised) -> Reflection<'a> {

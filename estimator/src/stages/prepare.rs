@@ -50,6 +50,7 @@ impl Prepared {
         Colors {
             lit_color: &self.fields.lit_color,
             lit_weight: &self.fields.lit_weight,
+            reliability: &self.fields.reliability,
             clipped: &self.fields.clipped,
             segment: &self.segment,
             segments: self.segments,
