@@ -11,6 +11,7 @@ mod usage;
 use estimator::Options;
 use estimator::association::{self, AssociationContext};
 use estimator::factorisation::{Colors, FactorisationOptions, factorise};
+use estimator::mesh::graph::Graph;
 use estimator::mesh::regularise;
 use estimator::numerics::sh;
 use estimator::rays::RayScene;
@@ -74,8 +75,9 @@ fn main() {
             let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, &config);
             association::associate(&context, &scan.keyframes, &())
         });
-        let (segment, segmentation) =
-            timed(|| segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, &config));
+        let (segment, segmentation) = timed(|| {
+            segmentation::segment(&mesh, &Graph::of(&mesh), &scene, &fields.lit_color, &fields.lit_weight, &config)
+        });
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
         let tracer = Tracer { mesh: &mesh, scene: &scene, bands: sh::MAX_BANDS, seed: config.seed };
         let (traced, shade) = timed(|| tracer.trace(RAYS, &|_| ()));

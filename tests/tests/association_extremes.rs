@@ -1,6 +1,7 @@
 //! Association, segmentation and regularisation without usable input: the output stays valid.
 
 use estimator::association::{Association, AssociationContext, associate};
+use estimator::mesh::graph::Graph;
 use estimator::mesh::regularise;
 use estimator::rays::RayScene;
 use estimator::segmentation;
@@ -49,7 +50,7 @@ fn run(mesh: &Mesh, keyframes: &[Keyframe]) -> (Association, Vec<u32>) {
     let config = EstimatorConfig::default();
     let scene = RayScene::new(mesh);
     let found = associate(&AssociationContext::new(mesh, &scene, &Response::Srgb, &config), keyframes, &());
-    let segment = segmentation::segment(mesh, &scene, &found.lit_color, &found.lit_weight, &config);
+    let segment = segmentation::segment(mesh, &Graph::of(mesh), &scene, &found.lit_color, &found.lit_weight, &config);
     let n = mesh.positions.len();
     assert_eq!((found.lit_color.len(), found.lit_weight.len(), found.views.len()), (n, n, keyframes.len()));
     assert_eq!((segment.len(), found.offsets.len()), (n, n + 1));
@@ -162,7 +163,7 @@ fn a_step_of_colour_is_a_border_and_shading_is_none() {
         .iter()
         .map(|p| shaded(if p.x > 0.1 { Vec3::new(0.3, 0.45, 0.5) } else { Vec3::new(0.5, 0.45, 0.4) }, *p))
         .collect();
-    let segments = |colors: &[Vec3]| segmentation::segment(&mesh, &scene, colors, &seen, &config);
+    let segments = |colors: &[Vec3]| segmentation::segment(&mesh, &Graph::of(&mesh), &scene, colors, &seen, &config);
     assert!(segments(&one).iter().all(|s| *s == 0), "shading shattered the square");
     let found = segments(&two);
     let wrong = mesh.positions.iter().zip(&found).filter(|(p, s)| (**s == 1) != (p.x > 0.1)).count();
@@ -176,7 +177,7 @@ fn unseen_vertices_take_the_nearest_segment() {
         mesh.positions.iter().map(|p| if p.x > 0.0 { Vec3::new(0.6, 0.1, 0.1) } else { Vec3::splat(0.5) }).collect();
     let weight: Vec<f32> = mesh.positions.iter().map(|p| if p.y > 0.2 { 0.0 } else { 1.0 }).collect();
     let scene = RayScene::new(&mesh);
-    let found = segmentation::segment(&mesh, &scene, &color, &weight, &EstimatorConfig::default());
+    let found = segmentation::segment(&mesh, &Graph::of(&mesh), &scene, &color, &weight, &EstimatorConfig::default());
     let top = |x: usize| found[39 * 40 + x];
     assert_eq!(top(5), found[5]);
     assert_eq!(top(35), found[35]);

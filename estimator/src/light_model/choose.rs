@@ -63,6 +63,8 @@ pub struct Scene<'a> {
     pub mesh: &'a Mesh,
     /// The same for rays.
     pub rays: &'a RayScene,
+    /// Its edges.
+    pub graph: &'a Graph,
     /// Lit colours and segments.
     pub colors: Colors<'a>,
     /// What was not seen may radiate more than what is around it.
@@ -266,11 +268,10 @@ impl<'a> Choice<'a> {
 
     /// Finds what may emit, and what surfaces radiate.
     fn observe(&mut self) {
-        let Scene { mesh, rays, colors, unseen_radiates, .. } = *self.scene;
-        let graph = Graph::of(mesh);
+        let Scene { mesh, rays, graph, colors, unseen_radiates, .. } = *self.scene;
         let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
-        self.radiance = secondary::filled(&graph, colors.lit_color, &seen);
-        self.pieces = emitters::candidates(mesh, &graph, colors.clipped, &seen);
+        self.radiance = secondary::filled(graph, colors.lit_color, &seen);
+        self.pieces = emitters::candidates(mesh, graph, colors.clipped, &seen);
         self.unseen = self.pieces.len();
         if unseen_radiates {
             self.pieces.extend(emitters::unseen_patches(mesh, &seen));

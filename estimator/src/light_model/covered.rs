@@ -9,8 +9,8 @@ use recordings::types::Mesh;
 /// Vertices that another sheet covers, so near that the test for visibility cannot tell them apart: what keyframes show there is
 /// the other sheet, while next to no light arrives. `[vertex]`
 #[must_use]
-pub fn covered(mesh: &Mesh, scene: &RayScene) -> Vec<bool> {
-    let spacing = vertex_spacing(mesh, &Graph::of(mesh), scene.median_edge());
+pub fn covered(mesh: &Mesh, graph: &Graph, scene: &RayScene) -> Vec<bool> {
+    let spacing = vertex_spacing(mesh, graph, scene.median_edge());
     let vertices = mesh.positions.par_iter().zip(&mesh.normals).zip(&spacing);
     let is_covered = vertices.map(|((position, normal), spacing)| {
         scene.occluded_within(scene.offset_origin(*position, *normal), *normal, VISIBLE_EDGES * spacing)
@@ -39,7 +39,7 @@ mod tests {
                 }
             }
         }
-        let found = covered(&mesh, &RayScene::new(&mesh));
+        let found = covered(&mesh, &Graph::of(&mesh), &RayScene::new(&mesh));
         for (i, p) in mesh.positions.iter().enumerate() {
             let is_behind = i < 441 && p.abs().max_element() < 0.45;
             let is_beside = i >= 441 || p.abs().max_element() > 0.55;

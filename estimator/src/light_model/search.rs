@@ -206,7 +206,8 @@ impl<'a> Search<'a> {
     fn refined(&self, from: (f64, Vec3), step: f32) -> (f64, Vec3) {
         let cost = |place: Vec3| (self.cost(place), place);
         let mut simplex = vec![from];
-        simplex.extend([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
+        simplex
+            .par_extend([Vec3::X, Vec3::Y, Vec3::Z].into_par_iter().map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
         let mut evaluations = 3;
         while evaluations < EVALUATIONS {
             simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -232,7 +233,7 @@ impl<'a> Search<'a> {
                     simplex[3] = contracted;
                 } else {
                     let best = simplex[0].1;
-                    simplex.iter_mut().skip(1).for_each(|v| *v = cost(best + (v.1 - best) * 0.5));
+                    simplex[1..].par_iter_mut().for_each(|v| *v = cost(best + (v.1 - best) * 0.5));
                     evaluations += 3;
                 }
             }

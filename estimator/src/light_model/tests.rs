@@ -5,6 +5,7 @@ use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::division::Division;
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::secondary::secondary;
+use crate::mesh::graph::Graph;
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
 use crate::transfer::{Traced, Tracer};
@@ -108,7 +109,15 @@ fn chosen_with(
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
     let paints = SegmentationTuning::default();
     let (unseen_radiates, divided_by) = (false, Some(&paints));
-    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates, seen_lamps: &[], divided_by };
+    let parts = choose::Scene {
+        mesh: &mesh,
+        rays: &scene,
+        graph: &Graph::of(&mesh),
+        colors,
+        unseen_radiates,
+        seen_lamps: &[],
+        divided_by,
+    };
     (choose::choose(&parts, &found, &options, &mut || true), paint)
 }
 

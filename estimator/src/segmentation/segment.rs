@@ -19,32 +19,32 @@ use recordings::types::Mesh;
 #[must_use]
 pub fn segment(
     mesh: &Mesh,
+    graph: &Graph,
     scene: &RayScene,
     lit_color: &[Vec3],
     lit_weight: &[f32],
     config: &EstimatorConfig,
 ) -> Vec<u32> {
     let tuning = &config.tuning.segmentation;
-    let graph = Graph::of(mesh);
     let seen: Vec<bool> = lit_weight.iter().zip(lit_color).map(|(&w, c)| w > 0.0 && c.is_finite()).collect();
     let features = features(lit_color, &seen, tuning.lightness_share as f32);
-    let features = median_filtered(&graph, &features, &seen);
+    let features = median_filtered(graph, &features, &seen);
     let mut sharp = features.clone();
     for _ in 0..tuning.sharpening_passes {
-        sharp = sharpened(&graph, &sharp, &seen);
+        sharp = sharpened(graph, &sharp, &seen);
     }
     let diameter = if config.segment_thickness > 0.0 {
-        shape_diameter(mesh, &graph, scene, tuning.shape_diameter_rays as usize, config.seed)
+        shape_diameter(mesh, graph, scene, tuning.shape_diameter_rays as usize, config.seed)
     } else {
         vec![None; mesh.positions.len()]
     };
-    let edges = EdgeDistances::new(mesh, &graph, &sharp, &diameter, &seen, config);
+    let edges = EdgeDistances::new(mesh, graph, &sharp, &diameter, &seen, config);
     let min_size = (config.segment_min_share * mesh.positions.len() as f64).ceil().max(8.0) as u32;
-    let mut labels = dbscan(&graph, &edges.distance, &seen, config.segment_min_points as usize, min_size);
-    regions::grow(&graph, &edges.distance, &seen, &mut labels);
-    let surface = regions::Surface { mesh, graph: &graph, features: &features, concavity: &edges.concavity };
+    let mut labels = dbscan(graph, &edges.distance, &seen, config.segment_min_points as usize, min_size);
+    regions::grow(graph, &edges.distance, &seen, &mut labels);
+    let surface = regions::Surface { mesh, graph, features: &features, concavity: &edges.concavity };
     regions::merge(&surface, config.segment_merge as f32, min_size, tuning, &mut labels);
-    spread(&graph, &mut labels);
+    spread(graph, &mut labels);
     renumber(&mut labels);
     labels
 }

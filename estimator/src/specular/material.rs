@@ -6,13 +6,12 @@ use crate::numerics::cielab::lab;
 use crate::specular::gloss::Gloss;
 use firmware_config::tuning::SpecularTuning;
 use glam::Vec3;
-use recordings::types::Mesh;
 
 /// Weights pooled over the segments of each material, by their standard errors. `segment` is `[vertex]`, `albedo`
 /// `[segment][channel]`, `gloss` and the result `[segment]`.
 #[must_use]
 pub fn pooled(
-    mesh: &Mesh,
+    graph: &Graph,
     segment: &[u32],
     albedo: &[[f64; 3]],
     gloss: &[Gloss],
@@ -20,7 +19,7 @@ pub fn pooled(
 ) -> Vec<Gloss> {
     let mut material: Vec<usize> = (0..gloss.len()).collect();
     let mut pools: Vec<Pool> = gloss.iter().map(Pool::of).collect();
-    for [a, b] in touching(mesh, segment, albedo, tuning.similar_albedo as f32) {
+    for [a, b] in touching(graph, segment, albedo, tuning.similar_albedo as f32) {
         let (low, high) = (material[a].min(material[b]), material[a].max(material[b]));
         if low < high && pools[low].agrees(&pools[high], tuning.min_significance) {
             material.iter_mut().filter(|m| **m == high).for_each(|m| *m = low);
@@ -84,9 +83,8 @@ impl Pool {
 }
 
 /// Pairs of segments that touch and whose albedos are closer than `similar` (CIELAB).
-fn touching(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]], similar: f32) -> Vec<[usize; 2]> {
+fn touching(graph: &Graph, segment: &[u32], albedo: &[[f64; 3]], similar: f32) -> Vec<[usize; 2]> {
     let labs: Vec<Vec3> = albedo.iter().map(|a| lab(Vec3::from_array(a.map(|x| x as f32)).max(Vec3::ZERO))).collect();
-    let graph = Graph::of(mesh);
     let mut touching: Vec<[usize; 2]> = (0..graph.vertices())
         .flat_map(|i| graph.neighbours(i).iter().map(move |&j| [segment[i], segment[j as usize]].map(|s| s as usize)))
         .filter(|&[a, b]| a < b && labs[a].distance(labs[b]) < similar)
@@ -99,6 +97,7 @@ fn touching(mesh: &Mesh, segment: &[u32], albedo: &[[f64; 3]], similar: f32) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use recordings::types::Mesh;
 
     /// A strip of four segments: two of one white, a red one, and a white one that touches only the red.
     fn pooled_on_a_strip(gloss: [Gloss; 4]) -> Vec<Gloss> {
@@ -112,7 +111,7 @@ mod tests {
         }
         let segment: Vec<u32> = (0..16).map(|i| i / 4).collect();
         let albedo = [[0.7, 0.7, 0.7], [0.68, 0.7, 0.72], [0.5, 0.1, 0.1], [0.7, 0.7, 0.7]];
-        pooled(&mesh, &segment, &albedo, &gloss, &SpecularTuning::default())
+        pooled(&Graph::of(&mesh), &segment, &albedo, &gloss, &SpecularTuning::default())
     }
 
     fn fitted(w_s: f64, error: f64, significant: bool) -> Gloss {

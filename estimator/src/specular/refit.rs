@@ -3,6 +3,7 @@
 use crate::association::Association;
 use crate::factorisation::KnownAlbedo;
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
+use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::specular::clean::clean;
 use crate::specular::fit::fit;
@@ -27,6 +28,8 @@ pub struct Surface<'a> {
     pub mesh: &'a Mesh,
     /// The same for rays.
     pub scene: &'a RayScene,
+    /// Its edges.
+    pub graph: &'a Graph,
     /// Segment index: `[vertex]`.
     pub segment: &'a [u32],
     /// Number of segments.
@@ -95,7 +98,7 @@ pub fn refit(
     let best = refitter.more_bands(best, &mut decisions);
     fields.lit_color = best.lit_color;
     let albedo = &best.found.solution.albedo;
-    let gloss = material::pooled(surface.mesh, surface.segment, albedo, &best.gloss, tuning);
+    let gloss = material::pooled(surface.graph, surface.segment, albedo, &best.gloss, tuning);
     Refitted { found: best.found, gloss, decisions }
 }
 

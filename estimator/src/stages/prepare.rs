@@ -60,8 +60,8 @@ impl Prepared {
 
     /// The surface whose gloss is fitted, and its light field.
     pub fn surface(&mut self) -> (Surface<'_>, &mut Association) {
-        let Self { mesh, scene, fields, segment, segments, known, .. } = self;
-        (Surface { mesh, scene, segment, segments: *segments, known: known.as_ref() }, fields)
+        let Self { mesh, scene, graph, fields, segment, segments, known, .. } = self;
+        (Surface { mesh, scene, graph, segment, segments: *segments, known: known.as_ref() }, fields)
     }
 }
 
@@ -109,12 +109,12 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
         return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));
     }
     progress.stage("segmentation", 0.0);
-    let segment = segmentation::segment(&mesh, &scene, &fields.lit_color, &fields.lit_weight, config);
+    let segment = segmentation::segment(&mesh, &context.graph, &scene, &fields.lit_color, &fields.lit_weight, config);
     let segments = segment.iter().max().map_or(0, |s| *s as usize + 1);
     plan.segmentation_done();
     let graph = context.graph;
     let warnings = Vec::from_iter(mismatch);
-    let shown = Shown { mesh: &mesh, scene: &scene, fields: &fields, segment: &segment };
+    let shown = Shown { mesh: &mesh, scene: &scene, graph: &graph, fields: &fields, segment: &segment };
     let known = run.options.reference.map(|stated| reference(&stated, &shown, scan)).transpose()?;
     Ok(Prepared { mesh, scene, graph, fields, segment, segments, background, known, decisions, warnings })
 }

@@ -18,6 +18,8 @@ pub struct Shown<'a> {
     pub mesh: &'a Mesh,
     /// The same for rays.
     pub scene: &'a RayScene,
+    /// Its edges.
+    pub graph: &'a Graph,
     /// Lit colours and refined poses.
     pub fields: &'a Association,
     /// Segment index: `[vertex]`.
@@ -58,10 +60,9 @@ pub fn reference(reference: &Reference, shown: &Shown, scan: &Scan) -> Result<Kn
 
 /// Vertices of a triangle and of the rings around it, seen, of the segment that most of the corners have; ascending.
 fn around(triangle: &[u32; 3], shown: &Shown) -> Vec<u32> {
-    let &Shown { mesh, fields, segment, .. } = shown;
+    let &Shown { graph, fields, segment, .. } = shown;
     let [a, b, c] = triangle.map(|i| segment[i as usize]);
     let of = if b == c { b } else { a };
-    let graph = Graph::of(mesh);
     let mut vertices: Vec<u32> = triangle.to_vec();
     for _ in 0..RINGS {
         let ring: Vec<u32> = vertices.iter().flat_map(|i| graph.neighbours(*i as usize)).copied().collect();
