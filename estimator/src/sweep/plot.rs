@@ -96,7 +96,12 @@ where
             .label(label)
             .legend(move |(x, y)| Circle::new((x + 9, y), 4, color.filled()));
     }
-    for p in points.iter().filter(|p| is_named(p)) {
+    let named: Vec<&Point> = points.iter().filter(|p| is_named(p)).collect();
+    let sizes: Vec<(u32, u32)> =
+        named.iter().map(|p| panel.estimate_text_size(&p.name, &text(15))).collect::<Result<_, _>>()?;
+    let centers: Vec<(i32, i32)> = named.iter().map(|p| chart.backend_coord(&at(p))).collect();
+    let right = chart.plotting_area().get_x_axis_pixel_range().end;
+    for (p, offset) in named.iter().zip(offsets(&centers, &sizes, right)) {
         let color = match p.name.as_str() {
             "auto" => AUTO,
             "paper" => PAPER,
@@ -104,7 +109,7 @@ where
         };
         let mark = EmptyElement::at(at(p))
             + Circle::new((0, 0), 6, color.filled())
-            + Text::new(p.name.clone(), (9, -16), text(15).color(&color));
+            + Text::new(p.name.clone(), offset, text(15).color(&color));
         chart.draw_series(std::iter::once(mark))?;
     }
     chart
@@ -115,6 +120,30 @@ where
         .label_font(text(15))
         .draw()?;
     Ok(())
+}
+
+/// Where the names of the marks at `centers` stand, from the center to the name's upper left corner: the first place beside it, from near to
+/// far, where a name covers none of these marks and no name before it, and ends before `right`. All are in pixels.
+fn offsets(centers: &[(i32, i32)], sizes: &[(u32, u32)], right: i32) -> Vec<(i32, i32)> {
+    // Half width of a mark, and the distance of a name from its middle.
+    const MARK: i32 = 6;
+    const ASIDE: i32 = 9;
+    let mut taken: Vec<[i32; 4]> = centers.iter().map(|(x, y)| [x - MARK, y - MARK, x + MARK, y + MARK]).collect();
+    let place = |(&(x, y), &(width, height)): (&(i32, i32), &(u32, u32))| {
+        let (width, height) = (width as i32, height as i32);
+        let rows = [-height - 1, 4, -2 * height - 2, height + 5, -3 * height - 3, 2 * height + 6];
+        let places = rows.iter().flat_map(|dy| [ASIDE, -ASIDE - width].map(|dx| (dx, *dy)));
+        let area = |(dx, dy): (i32, i32)| [x + dx, y + dy, x + dx + width, y + dy + height];
+        let is_free = |offset: &(i32, i32)| {
+            let [left, top, end, bottom] = area(*offset);
+            let apart = |b: &[i32; 4]| end <= b[0] || b[2] <= left || bottom <= b[1] || b[3] <= top;
+            end <= right && taken.iter().all(apart)
+        };
+        let offset = places.clone().find(is_free).unwrap_or((ASIDE, rows[0]));
+        taken.push(area(offset));
+        offset
+    };
+    centers.iter().zip(sizes).map(place).collect()
 }
 
 /// Settings that have a name of their own.
@@ -154,6 +183,22 @@ mod tests {
         // Errors of 0.05 to 0.06 have ticks although no power of ten lies among them.
         let ticks = ["0.05", "0.052", "0.055", "0.06"].iter().filter(|t| text.contains(&format!("\n{t}\n"))).count();
         assert!(ticks >= 2, "{text}");
+    }
+
+    #[test]
+    fn names_cover_neither_marks_nor_each_other() {
+        // Three marks within a few pixels of each other, and one at the right border.
+        let (centers, sizes) = ([(100, 100), (104, 103), (112, 98), (390, 50)], [(60, 15); 4]);
+        let areas: Vec<[i32; 4]> = offsets(&centers, &sizes, 400)
+            .iter()
+            .zip(centers)
+            .map(|((dx, dy), (x, y))| [x + dx, y + dy, x + dx + 60, y + dy + 15])
+            .collect();
+        let marks = centers.map(|(x, y)| [x - 6, y - 6, x + 6, y + 6]);
+        let apart = |a: &[i32; 4], b: &[i32; 4]| a[2] <= b[0] || b[2] <= a[0] || a[3] <= b[1] || b[3] <= a[1];
+        for (i, area) in areas.iter().enumerate() {
+            assert!(area[2] <= 400 && marks.iter().chain(&areas[..i]).all(|b| apart(area, b)), "{areas:?}");
+        }
     }
 
     #[test]
