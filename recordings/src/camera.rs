@@ -85,6 +85,12 @@ impl Intrinsics {
     pub fn project(&self, point: DVec3) -> (f64, f64) {
         (self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
     }
+
+    /// Mean focal length of both axes in pixels, not negative.
+    #[must_use]
+    pub fn focal(&self) -> f64 {
+        0.5 * (self.fx.abs() + self.fy.abs())
+    }
 }
 
 impl CameraModel {

@@ -1,8 +1,8 @@
 //! Data association (§3.1, Eqs. 2–5). In: mesh, keyframes with poses. Out: [`Association`], a surface light field with one
 //! robust lit colour per vertex, exposures and refined poses ([`alternation`] runs the steps in turn).
 //!
-//! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`]; exposures, Eq. (5):
-//! [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; what they can be trusted for, [`reliability`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
+//! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`], how far they can be trusted:
+//! [`reliability`]; exposures, Eq. (5): [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
 

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 const ERROR: f32 = 0.07;
 /// Standard deviation of the surroundings that a lit colour is compared with, in pixels.
 const AROUND_PX: f64 = 2.0;
-/// A mean of neighbours at distance d has a variance of d²/2 along each axis, and so many in turn have theirs added up.
+/// Turns at most: a mesh that is far finer than the pictures costs no more.
 const MOST_TURNS: f64 = 16.0;
 /// Observations that tell how large the mesh's edges are in the pictures.
 const OBSERVATIONS: usize = 4000;
@@ -42,7 +42,8 @@ pub fn reliability(lit: &LitColors, graph: &Graph, turns: usize) -> Vec<f32> {
     own.iter().zip(&around).map(share).collect()
 }
 
-/// Turns of [`reliability`] that reach as far in the pictures as a lit colour's surroundings.
+/// Turns of [`reliability`] that reach as far in the pictures as a lit colour's surroundings: a mean of neighbours at distance d has a
+/// variance of d²/2 along each axis, and means in turn have theirs added up.
 #[must_use]
 pub fn turns(
     context: &AssociationContext,
@@ -55,7 +56,7 @@ pub fn turns(
         let (i, k) = (o.vertex as usize, o.keyframe as usize);
         let camera = &images[k].as_ref()?.camera;
         let distance = views[k].world_from_camera.translation.distance(context.mesh.positions[i].as_dvec3());
-        Some(f64::from(context.spacing[i]) * 0.5 * (camera.fx.abs() + camera.fy.abs()) / distance)
+        Some(f64::from(context.spacing[i]) * camera.focal() / distance)
     });
     let edge = median(edge_px).unwrap_or(1.0);
     (2.0 * (AROUND_PX / edge).powi(2)).round().clamp(1.0, MOST_TURNS) as usize

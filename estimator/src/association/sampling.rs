@@ -40,7 +40,7 @@ pub fn observe(
     let points = camera_positions(mesh, pose);
     let raster = Raster::new(&points, &mesh.triangles, k, context.near);
     let camera_from_world = pose.rotation.conjugate().as_quat();
-    let focal = 0.5 * (k.fx.abs() + k.fy.abs());
+    let focal = k.focal();
     let poor_weight = context.config.tuning.association.poor_weight as f32;
     let mut out = KeyframeObservations::default();
     for (i, p) in points.iter().enumerate() {

@@ -132,14 +132,14 @@ fn offsets(centers: &[(i32, i32)], sizes: &[(u32, u32)], right: i32) -> Vec<(i32
     let place = |(&(x, y), &(width, height)): (&(i32, i32), &(u32, u32))| {
         let (width, height) = (width as i32, height as i32);
         let rows = [-height - 1, 4, -2 * height - 2, height + 5, -3 * height - 3, 2 * height + 6];
-        let places = rows.iter().flat_map(|dy| [ASIDE, -ASIDE - width].map(|dx| (dx, *dy)));
+        let mut places = rows.iter().flat_map(|dy| [ASIDE, -ASIDE - width].map(|dx| (dx, *dy)));
         let area = |(dx, dy): (i32, i32)| [x + dx, y + dy, x + dx + width, y + dy + height];
         let is_free = |offset: &(i32, i32)| {
             let [left, top, end, bottom] = area(*offset);
             let apart = |b: &[i32; 4]| end <= b[0] || b[2] <= left || bottom <= b[1] || b[3] <= top;
             end <= right && taken.iter().all(apart)
         };
-        let offset = places.clone().find(is_free).unwrap_or((ASIDE, rows[0]));
+        let offset = places.find(is_free).unwrap_or((ASIDE, rows[0]));
         taken.push(area(offset));
         offset
     };

@@ -63,7 +63,7 @@ pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], veil_sha
             veil_share: veil_share as f32,
             depth: depth(context, &camera),
             camera,
-            focal: 0.5 * (image.camera.fx.abs() + image.camera.fy.abs()),
+            focal: image.camera.focal(),
             image,
         })
     };
