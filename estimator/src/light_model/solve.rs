@@ -10,8 +10,9 @@
 //! on `f b − E (1 + δ_s)`, which takes the light for exact, with the δ_s eliminated in the place of the b.
 
 use crate::factorisation::Projection;
+use crate::light_model::non_negative::NonNegative;
 use crate::light_model::samples::{DARK_FLOOR, Samples};
-use crate::numerics::dense::{self, add_scaled, dot};
+use crate::numerics::dense::add_scaled;
 use crate::numerics::robust::robust_sigma;
 use isa::{Hot, Isa, dispatch};
 use nalgebra::{DMatrix, DVector};
@@ -28,10 +29,6 @@ const MOST_CHANGE: f64 = 2.0;
 const HUBER: f64 = 1.5;
 /// Weight of the condition that holds the mean light at 1, against the sum of the rows' weights.
 const NORMALISED: f64 = 10.0;
-/// Sweeps of the non-negative solver at most.
-const SWEEPS: usize = 300;
-/// Directions that the surfaces tell less of than this share of the best observed one are held at the mean by more.
-const MIN_OBSERVABILITY: f64 = 5e-3;
 /// Lit colours of neighbouring vertices err together: so many samples' weight counts as one measurement.
 const CORRELATED: f64 = 25.0;
 /// Albedo that the brightest [`LARGE`] of the surface has where no secondary light fixes the scale, and its deviation.
@@ -171,17 +168,21 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
         let sigma = if round == 0 { 0.5 } else { robust_sigma(fitted.iter().map(|n| relative(*n))).max(1e-4) };
         let mut statistics = Statistics::new(samples.segments, dim);
         let mut mean = DVector::zeros(dim);
-        for &n in &fitted {
-            row[..columns].iter_mut().zip(&shared[n * columns..]).for_each(|(r, t)| *r = f64::from(*t));
-            row[columns] = secondary[n];
+        let of_row = |&n: &usize| {
             let huber = if round == 0 { 1.0 } else { HUBER * sigma / relative(n).max(HUBER * sigma) };
-            let weight = samples.weight[n] * huber / (size(n) * size(n));
-            let segment = samples.segment[n] as usize;
             let (factor, known) = if is_linear { (color[n], 0.0) } else { (irradiance[n], explained(n)) };
-            dispatch(isa, OneRow { statistics: &mut statistics, segment, weight, factor, known, row: &row });
-            let share = samples.weight[n] / (size(n) * total);
-            mean.iter_mut().zip(&row).for_each(|(m, r)| *m += share * r);
-        }
+            Row {
+                segment: samples.segment[n] as usize,
+                weight: samples.weight[n] * huber / (size(n) * size(n)),
+                factor,
+                known,
+                share: samples.weight[n] / (size(n) * total),
+                shared: &shared[n * columns..][..columns],
+                secondary: secondary[n],
+            }
+        };
+        let summed = fitted.iter().map(of_row);
+        dispatch(isa, Summed { statistics: &mut statistics, mean: mean.as_mut_slice(), row: &mut row, rows: summed });
         if statistics.square.iter().all(|s| *s <= 0.0) {
             break;
         }
@@ -319,134 +320,51 @@ impl Statistics {
     }
 }
 
-/// One more sample in the statistics.
-struct OneRow<'a> {
-    statistics: &'a mut Statistics,
+/// One sample of the statistics.
+struct Row<'a> {
     segment: usize,
     weight: f64,
     /// e.
     factor: f64,
     /// y.
     known: f64,
-    /// t.
-    row: &'a [f64],
+    /// Its part of the mean light.
+    share: f64,
+    /// t but for its last entry.
+    shared: &'a [f32],
+    /// The last entry of t.
+    secondary: f64,
 }
 
-impl Hot for OneRow<'_> {
+/// Adds samples to the statistics, and to the `mean` of t.
+struct Summed<'a, R> {
+    statistics: &'a mut Statistics,
+    mean: &'a mut [f64],
+    /// Room for t.
+    row: &'a mut [f64],
+    rows: R,
+}
+
+impl<'r, R: Iterator<Item = Row<'r>>> Hot for Summed<'_, R> {
     type Output = ();
 
     #[inline(always)]
     fn run(self) {
-        let Self { statistics, segment, weight, factor, known, row } = self;
-        statistics.square[segment] += weight * factor * factor;
-        statistics.known[segment] += weight * factor * known;
-        add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, row);
-        if known > 0.0 {
-            add_scaled(statistics.known_cross.as_mut_slice(), weight * known, row);
-        }
-        let gram = statistics.gram.as_mut_slice().chunks_exact_mut(row.len());
-        for (j, (column, t)) in gram.zip(row).enumerate() {
-            add_scaled(&mut column[..=j], weight * t, &row[..=j]);
-        }
-    }
-}
-
-/// `min ½ zᵀ H z − gᵀ z` where the first entries of z are `projection · r` with r ≥ 0 and the `extras` others are ≥ 0.
-struct NonNegative<'a> {
-    gram: DMatrix<f64>,
-    cross: DVector<f64>,
-    projection: &'a DMatrix<f64>,
-    extras: usize,
-    /// Upper bound of the last entry.
-    last_at_most: f64,
-}
-
-impl NonNegative<'_> {
-    fn solve(&self, strength: f64, r: &mut DVector<f64>, start: &DVector<f64>) -> DVector<f64> {
-        let k = self.projection.nrows();
-        let dim = self.gram.nrows();
-        let products = dense::product(&self.gram.columns(0, k).into_owned(), self.projection);
-        let products = products.as_slice();
-        let (p, columns) = (self.projection.as_slice(), self.projection.ncols());
-        let of = |d: usize| dot(&p[d * k..][..k], &products[d * dim..][..k]).max(0.0);
-        // None where the light has no coefficients.
-        let observed: Vec<f64> = if k > 0 { (0..columns).map(of).collect() } else { Vec::new() };
-        let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
-        let mut z = start.clone();
-        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
-        let mut gradient = dense::times(&self.gram, &z) - &self.cross;
-        let strength = strength / observed.len().max(1) as f64;
-        let held = observed.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
-        let descent = Descent {
-            form: self,
-            products,
-            held: &held.collect::<Vec<_>>(),
-            gradient: gradient.as_mut_slice(),
-            r,
-            z: z.as_mut_slice(),
-        };
-        dispatch(Isa::detect(), descent);
-        z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
-        z
-    }
-}
-
-/// Coordinate descent.
-struct Descent<'a> {
-    form: &'a NonNegative<'a>,
-    /// The form times the projection: `[direction][dim]`.
-    products: &'a [f64],
-    /// Observability and strength of the prior: `[direction]`; empty where the light has no coefficients.
-    held: &'a [(f64, f64)],
-    gradient: &'a mut [f64],
-    r: &'a mut DVector<f64>,
-    z: &'a mut [f64],
-}
-
-impl Hot for Descent<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let Self { form, products, held, gradient, r, z } = self;
-        let (k, dim, gram) = (form.projection.nrows(), gradient.len(), form.gram.as_slice());
-        for _ in 0..SWEEPS {
-            let (mut moved, mut size) = (0.0, 0.0);
-            let mean = r.mean();
-            let r = r.as_mut_slice();
-            for (d, &(observed, strength)) in held.iter().enumerate() {
-                let diagonal = observed + strength;
-                if diagonal <= 0.0 {
-                    continue;
-                }
-                let column = &form.projection.as_slice()[d * k..][..k];
-                let slope = dot(column, &gradient[..k]) + strength * (r[d] - mean);
-                let step = (r[d] - slope / diagonal).max(0.0) - r[d];
-                if step != 0.0 {
-                    r[d] += step;
-                    add_scaled(gradient, step, &products[d * dim..][..dim]);
-                    moved += step * step * observed;
-                }
-                size += r[d] * r[d] * observed;
+        let Self { statistics, mean, row, rows } = self;
+        for Row { segment, weight, factor, known, share, shared, secondary } in rows {
+            row.iter_mut().zip(shared).for_each(|(r, t)| *r = f64::from(*t));
+            row[shared.len()] = secondary;
+            statistics.square[segment] += weight * factor * factor;
+            statistics.known[segment] += weight * factor * known;
+            add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, row);
+            if known > 0.0 {
+                add_scaled(statistics.known_cross.as_mut_slice(), weight * known, row);
             }
-            for j in dim - form.extras..dim {
-                let column = &gram[j * dim..][..dim];
-                let diagonal = column[j];
-                if diagonal <= 0.0 {
-                    continue;
-                }
-                let most = if j + 1 == dim { form.last_at_most } else { f64::INFINITY };
-                let step = (z[j] - gradient[j] / diagonal).clamp(0.0, most) - z[j];
-                if step != 0.0 {
-                    z[j] += step;
-                    add_scaled(gradient, step, column);
-                    moved += step * step * diagonal;
-                }
-                size += z[j] * z[j] * diagonal;
+            let gram = statistics.gram.as_mut_slice().chunks_exact_mut(row.len());
+            for (j, (column, t)) in gram.zip(&*row).enumerate() {
+                add_scaled(&mut column[..=j], weight * t, &row[..=j]);
             }
-            if moved <= 1e-12 * size {
-                break;
-            }
+            add_scaled(mean, share, row);
         }
     }
 }
