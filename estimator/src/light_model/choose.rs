@@ -234,6 +234,17 @@ impl Columns {
         let Self { coefficients, columns, ref shared, ref secondary, ref least_brought } = *self;
         Rows { samples, coefficients, columns, shared, secondary, least_brought }
     }
+
+    /// Rows of some samples, by number.
+    pub fn chosen(&self, numbers: &[usize]) -> Self {
+        let of = |n: &usize| &self.shared[n * self.columns..][..self.columns];
+        Self {
+            shared: numbers.iter().flat_map(of).copied().collect(),
+            secondary: numbers.iter().map(|n| self.secondary[*n]).collect(),
+            least_brought: self.least_brought.clone(),
+            ..*self
+        }
+    }
 }
 
 /// A choice that is being made.

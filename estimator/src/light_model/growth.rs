@@ -192,7 +192,7 @@ impl Choice<'_> {
     /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
     fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
         let columns = self.search_columns(&model.emitters, &model.lamps);
-        let center = self.search(&columns).best_place()?;
+        let places = self.search(&columns).best_places();
         let (low, high) = samples::bounds(self.scene.mesh);
         let middle = 0.5 * (low + high);
         let solved = |sphere: Sphere| {
@@ -200,9 +200,10 @@ impl Choice<'_> {
             lamps.insert(at, sphere);
             self.solved(&model.emitters, &lamps, REGULARISATION)
         };
-        let near = Sphere { center, radius: LAMP_RADIUS * center.distance(middle) };
-        let distant = || solved(self.at_infinity((center - middle).normalize_or_zero()));
-        let (near, distant) = rayon::join(|| solved(near), distant);
+        let near = |center: Vec3| (solved(Sphere { center, radius: LAMP_RADIUS * center.distance(middle) }), center);
+        let tried: Vec<(Model, Vec3)> = places.into_par_iter().map(near).collect();
+        let (near, center) = tried.into_iter().min_by(|a, b| mean(&a.0.blocks).total_cmp(&mean(&b.0.blocks)))?;
+        let distant = solved(self.at_infinity((center - middle).normalize_or_zero()));
         is_better(&near.blocks, &distant.blocks).then_some(near)
     }
 
@@ -212,8 +213,8 @@ impl Choice<'_> {
     }
 
     /// The search for a lamp beside a model of these columns.
-    pub(super) fn search<'s>(&'s self, columns: &'s Columns) -> Search<'s> {
-        Search::new(self.scene.mesh, self.scene.rays, columns.rows(&self.samples))
+    pub(super) fn search(&self, columns: &Columns) -> Search<'_> {
+        Search::new(self.scene.mesh, self.scene.rays, &self.samples, columns)
     }
 
     /// A lamp at infinity in this direction, a unit vector from the scene.

@@ -84,6 +84,21 @@ impl Samples {
         Self { medians: segment_medians(segments, colors), segment, segments, ..self.clone() }
     }
 
+    /// Some of the samples, by number.
+    #[must_use]
+    pub fn chosen(&self, numbers: &[usize]) -> Self {
+        Self {
+            vertex: numbers.iter().map(|n| self.vertex[*n]).collect(),
+            segment: numbers.iter().map(|n| self.segment[*n]).collect(),
+            weight: numbers.iter().map(|n| self.weight[*n]).collect(),
+            held_out: numbers.iter().map(|n| self.held_out[*n]).collect(),
+            patch: numbers.iter().map(|n| self.patch[*n]).collect(),
+            color: numbers.iter().map(|n| self.color[*n]).collect(),
+            segments: self.segments,
+            medians: self.medians.clone(),
+        }
+    }
+
     /// Weight of the samples that `counts` is true of: `[segment]`.
     #[must_use]
     pub fn surface(&self, counts: impl Fn(usize) -> bool) -> Vec<f64> {
@@ -103,16 +118,8 @@ impl Samples {
         let first: Vec<usize> = first.into_values().collect();
         let mut weight = vec![0.0; first.len()];
         self.patch.iter().zip(&self.weight).for_each(|(p, w)| weight[*p as usize] += w);
-        Self {
-            vertex: first.iter().map(|n| self.vertex[*n]).collect(),
-            segment: first.iter().map(|n| self.segment[*n]).collect(),
-            weight,
-            held_out: first.iter().map(|n| self.held_out[*n]).collect(),
-            patch: (0..first.len() as u32).collect(),
-            color: self.patch_means(|n| self.color[n]),
-            segments: self.segments,
-            medians: self.medians.clone(),
-        }
+        let color = self.patch_means(|n| self.color[n]);
+        Self { weight, patch: (0..first.len() as u32).collect(), color, ..self.chosen(&first) }
     }
 
     /// Means over every patch of what is given at every sample.

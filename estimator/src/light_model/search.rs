@@ -1,9 +1,11 @@
-//! The place of a lamp that is not seen: every place costs one more column, so that a lattice of places can be compared; the
-//! best ones are solved in full and refined by a simplex.
+//! Places of a lamp that is not seen: every place costs one more column, so that a lattice of places can be compared; the best ones
+//! are solved in full and refined by a simplex. What is left at the samples is least where the errors of the colours are explained as
+//! well, so the choice among the refined places is left to held-out surface.
 
 use crate::factorisation::Projection;
+use crate::light_model::choose::Columns;
 use crate::light_model::lamps::{self, Sphere};
-use crate::light_model::samples::{self, DARK_FLOOR};
+use crate::light_model::samples::{self, DARK_FLOOR, Samples};
 use crate::light_model::solve::{self, Channel, Rows, Values};
 use crate::numerics::cielab::luminance_f64;
 use crate::numerics::sh;
@@ -25,7 +27,7 @@ const LATTICE_SAMPLES: usize = 700;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
 const SOLVED: usize = 6;
 const APART: f32 = 1.6;
-/// Directions that are refined: shadows make several that are nearly as good.
+/// Of directions, so many are refined: shadows make several that are nearly as good.
 const REFINED: usize = 3;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
@@ -42,8 +44,9 @@ const NORMALISED: f64 = 10.0;
 pub struct Search<'a> {
     mesh: &'a Mesh,
     scene: &'a RayScene,
-    /// The model that a lamp is added to.
-    rows: Rows<'a>,
+    /// The samples that are not held out, and the model that a lamp is added to.
+    samples: Samples,
+    columns: Columns,
     projection: Projection,
     /// Luminance of the samples.
     values: Values,
@@ -52,17 +55,20 @@ pub struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// Searches for a lamp that is added to the model of `rows`; `scene` is the mesh for rays.
+    /// Searches for a lamp that is added to the model of `columns`; `scene` is the mesh for rays.
     #[must_use]
-    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, rows: Rows<'a>) -> Self {
+    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, samples: &Samples, columns: &Columns) -> Self {
+        let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
+        let (samples, columns) = (samples.chosen(&fitted), columns.chosen(&fitted));
+        let rows = columns.rows(&samples);
         let (projection, values) = (Projection::new(rows.coefficients), Values::new(&rows, luminance_f64));
         let without = solve::solve_channel(&rows, &values, &projection, REGULARISATION);
-        Self { mesh, scene, rows, projection, values, without }
+        Self { mesh, scene, samples, columns, projection, values, without }
     }
 
-    /// The best place, seen as a point; `None` where no place explains anything.
+    /// The best places, seen as points; none where no place explains anything.
     #[must_use]
-    pub fn best_place(&self) -> Option<Vec3> {
+    pub fn best_places(&self) -> Vec<Vec3> {
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();
         let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
@@ -74,7 +80,7 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        self.best_of(&places, step, 1)
+        self.best_of(&places, step, SOLVED).into_iter().map(|(_, place)| place).collect()
     }
 
     /// The unit vector from the scene towards the best lamp at infinity; `None` where none explains anything.
@@ -85,11 +91,13 @@ impl<'a> Search<'a> {
         let places: Vec<Vec3> =
             sh::even_directions(DIRECTIONS).iter().map(|d| middle + d.as_vec3() * distance).collect();
         let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
-        Some((self.best_of(&places, Vec3::splat(apart * distance), REFINED)? - middle).normalize_or_zero())
+        let refined = self.best_of(&places, Vec3::splat(apart * distance), REFINED);
+        let best = refined.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
+        best.map(|(_, place)| (place - middle).normalize_or_zero())
     }
 
-    /// The best of these places, `step` apart, of which some are refined.
-    fn best_of(&self, places: &[Vec3], step: Vec3, refined: usize) -> Option<Vec3> {
+    /// The best of these places, `step` apart, refined, with what each leaves.
+    fn best_of(&self, places: &[Vec3], step: Vec3, refined: usize) -> Vec<(f64, Vec3)> {
         let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
@@ -105,17 +113,14 @@ impl<'a> Search<'a> {
         let mut tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
         tried.truncate(refined);
-        let refined: Vec<(f64, Vec3)> = tried.into_par_iter().map(|t| self.refined(t, step.min_element())).collect();
-        refined.into_iter().min_by(|a, b| a.0.total_cmp(&b.0)).map(|r| r.1)
+        tried.into_par_iter().map(|t| self.refined(t, step.min_element())).collect()
     }
 
     /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
     fn gains(&self, places: &[Vec3]) -> Vec<f64> {
         let Self { values, without, .. } = self;
-        let Rows { samples, columns, shared, .. } = self.rows;
-        let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
-        let stride = fitted.len().div_ceil(LATTICE_SAMPLES).max(1);
-        let few: Vec<usize> = fitted.into_iter().step_by(stride).collect();
+        let Rows { samples, columns, shared, .. } = self.columns.rows(&self.samples);
+        let few: Vec<usize> = (0..samples.len()).step_by(samples.len().div_ceil(LATTICE_SAMPLES).max(1)).collect();
         let total: f64 = few.iter().map(|n| samples.weight[*n]).sum();
         let explained = |n: usize| values.color[n] / without.albedo[samples.segment[n] as usize].max(1e-30);
         let mean = few.iter().map(|n| samples.weight[*n] * explained(*n)).sum::<f64>() / total.max(1e-30);
@@ -184,16 +189,17 @@ impl<'a> Search<'a> {
 
     /// Mean capped residual of the model with a lamp at this place.
     fn cost(&self, place: Vec3) -> f64 {
-        let (samples, values) = (self.rows.samples, &self.values);
+        let (rows, values) = (self.columns.rows(&self.samples), &self.values);
+        let samples = rows.samples;
         let sphere = Sphere { center: place, radius: 0.0 };
         let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere);
-        let (shared, columns) = self.rows.with_column(&column);
-        let rows = Rows { shared: &shared, columns, ..self.rows };
+        let (shared, columns) = rows.with_column(&column);
+        let rows = Rows { shared: &shared, columns, ..rows };
         let solved = solve::solve_channel(&rows, values, &self.projection, REGULARISATION);
         let mean: f64 = solved.irradiance.iter().zip(&samples.weight).map(|(e, w)| e * w).sum::<f64>()
             / samples.weight.iter().sum::<f64>().max(1e-30);
         let (mut sum, mut total) = (0.0, 0.0);
-        for n in (0..samples.len()).filter(|n| samples.held_out[*n].is_none()) {
+        for n in 0..samples.len() {
             let explained = values.color[n] / solved.albedo[samples.segment[n] as usize].max(1e-30);
             let size = (0.5 * (explained + solved.irradiance[n])).max(DARK_FLOOR * mean);
             sum += samples.weight[n] * ((explained - solved.irradiance[n]).abs() / size).min(CAPPED);
