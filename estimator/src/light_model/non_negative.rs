@@ -36,10 +36,9 @@ impl NonNegative<'_> {
         let dim = self.gram.nrows();
         let products = dense::product(&self.gram.columns(0, k).into_owned(), self.projection);
         let products = products.as_slice();
-        let (p, columns) = (self.projection.as_slice(), self.projection.ncols());
-        let of = |d: usize| dot(&p[d * k..][..k], &products[d * dim..][..k]).max(0.0);
+        let of = |d: usize| dot(self.direction(d), &products[d * dim..][..k]).max(0.0);
         // None where the light has no coefficients.
-        let observed: Vec<f64> = if k > 0 { (0..columns).map(of).collect() } else { Vec::new() };
+        let observed: Vec<f64> = if k > 0 { (0..self.projection.ncols()).map(of).collect() } else { Vec::new() };
         let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
         let strength = strength / observed.len().max(1) as f64;
         let held = observed.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
@@ -64,87 +63,115 @@ impl NonNegative<'_> {
     }
 
     /// Newton's method on what holds at the minimum, r_d = max(0, m − p_dᵀ y / s_d) with the gradient y and the mean m: linear in z and m
-    /// once it is known which radiances and which of the others are free (a primal-dual active set method). z and r; `None` if the free
-    /// ones have not settled. `held` is that of [`Descent`].
+    /// once it is known which entries are free (a primal-dual active set method). z and r; `None` if the free ones have not settled. `held`
+    /// is that of [`Descent`].
     fn newton(
         &self,
         held: &[(f64, f64)],
         r: &DVector<f64>,
         start: &DVector<f64>,
     ) -> Option<(DVector<f64>, DVector<f64>)> {
-        let (k, dim, directions) = (self.projection.nrows(), self.gram.nrows(), held.len());
-        if directions == 0 || held.iter().any(|(_, strength)| *strength <= 0.0) {
+        if held.is_empty() || held.iter().any(|(_, strength)| *strength <= 0.0) {
             return None;
         }
-        let column = |d: usize| &self.projection.as_slice()[d * k..][..k];
-        let most = |j: usize| if j + 1 == dim { self.last_at_most } else { f64::INFINITY };
-        let mut free: Vec<bool> = r.iter().map(|r| *r > 0.0).collect();
-        // Of the others, those at a bound, and which.
-        let at = |x: f64, j: usize| [0.0, most(j)].into_iter().find(|bound| x == *bound);
-        let mut bound: Vec<Option<f64>> = (k..dim).map(|j| at(start[j], j)).collect();
+        let k = self.projection.nrows();
+        let at = |j: usize| [0.0, self.most(j)].into_iter().find(|bound| start[j] == *bound);
+        let mut free =
+            Free { radiances: r.iter().map(|r| *r > 0.0).collect(), bounds: (k..start.len()).map(at).collect() };
         for _ in 0..STEPS {
-            // Over the free directions: Σ p pᵀ / s, Σ p and Σ p / s.
-            let mut sums = Sums { k, squares: vec![0.0; k * k], plain: vec![0.0; k], divided: vec![0.0; k] };
-            let columns = free.iter().zip(held).enumerate().filter(|(_, (free, _))| **free);
-            dispatch(Isa::detect(), Summed { sums: &mut sums, columns: columns.map(|(d, (_, h))| (column(d), h.1)) });
-            let squares = DMatrix::from_fn(k, k, |i, j| sums.squares[i.max(j) * k + i.min(j)]);
-            let divided = DVector::from_column_slice(&sums.divided);
-            let (form, known) = (self.gram.rows(0, k).into_owned(), self.cross.rows(0, k).into_owned());
-            let mut system = DMatrix::zeros(dim + 1, dim + 1);
-            let mut right = DVector::zeros(dim + 1);
-            system.view_mut((0, 0), (k, dim)).copy_from(&dense::product(&squares, &form));
-            (0..k).for_each(|i| {
-                system[(i, i)] += 1.0;
-                system[(i, dim)] = -sums.plain[i];
-            });
-            right.rows_mut(0, k).copy_from(&(&squares * &known));
-            for (j, bound) in (k..dim).zip(&bound) {
-                match bound {
-                    Some(value) => (system[(j, j)], right[j]) = (1.0, *value),
-                    None => {
-                        system.view_mut((j, 0), (1, dim)).copy_from(&self.gram.row(j));
-                        right[j] = self.cross[j];
-                    }
-                }
-            }
-            system.view_mut((dim, 0), (1, dim)).copy_from(&(divided.transpose() * &form));
-            system[(dim, dim)] = directions as f64 - free.iter().filter(|f| **f).count() as f64;
-            right[dim] = divided.dot(&known);
-            let found = system.lu().solve(&right)?;
-            let (z, mean) = (found.rows(0, dim).into_owned(), found[dim]);
+            let (z, mean) = self.with_free(&free, held)?;
             let gradient = dense::times(&self.gram, &z) - &self.cross;
-            let radiance = |d: usize| mean - dot(column(d), &gradient.as_slice()[..k]) / held[d].1;
-            let radiance = DVector::from_fn(directions, |d, _| radiance(d));
+            let slope = |d: usize| dot(self.direction(d), &gradient.as_slice()[..k]);
+            let radiance = DVector::from_fn(held.len(), |d, _| mean - slope(d) / held[d].1);
             if !radiance.iter().chain(z.iter()).all(|x| x.is_finite()) {
                 return None;
             }
-            let next_free: Vec<bool> = radiance.iter().map(|r| *r > 0.0).collect();
-            // What rounding makes of nothing frees no entry.
-            let rises = |j: usize, value: f64| {
-                let slope = if value <= 0.0 { gradient[j] } else { -gradient[j] };
-                slope >= -FLAT * self.cross[j].abs()
+            let bounds = free.bounds.iter().enumerate();
+            let next = Free {
+                radiances: radiance.iter().map(|r| *r > 0.0).collect(),
+                bounds: bounds.map(|(j, bound)| self.bound(k + j, *bound, &z, &gradient)).collect(),
             };
-            let next_bound = (k..dim).zip(&bound).map(|(j, bound)| match *bound {
-                // Stays at the bound while the form rises from it.
-                Some(value) if rises(j, value) => Some(value),
-                Some(_) => None,
-                None if z[j] < 0.0 => Some(0.0),
-                None if z[j] > most(j) => Some(most(j)),
-                None => None,
-            });
-            let next_bound: Vec<Option<f64>> = next_bound.collect();
-            if next_free == free && next_bound == bound {
+            if next == free {
                 return Some((z, radiance.map(|r| r.max(0.0))));
             }
-            (free, bound) = (next_free, next_bound);
+            free = next;
         }
         None
     }
+
+    /// z and the mean m where only these entries are free.
+    fn with_free(&self, free: &Free, held: &[(f64, f64)]) -> Option<(DVector<f64>, f64)> {
+        let (k, dim) = (self.projection.nrows(), self.gram.nrows());
+        let numbers = (0..held.len()).filter(|d| free.radiances[*d]);
+        let count = numbers.clone().count();
+        let mut sums = Sums { squares: vec![0.0; k * k], plain: vec![0.0; k], divided: vec![0.0; k] };
+        let columns = numbers.map(|d| (self.direction(d), held[d].1));
+        dispatch(Isa::detect(), Summed { sums: &mut sums, columns });
+        let squares = DMatrix::from_fn(k, k, |i, j| sums.squares[i.max(j) * k + i.min(j)]);
+        let divided = DVector::from_column_slice(&sums.divided);
+        let (form, known) = (self.gram.rows(0, k).into_owned(), self.cross.rows(0, k).into_owned());
+        let (mut system, mut right) = (DMatrix::zeros(dim + 1, dim + 1), DVector::zeros(dim + 1));
+        // The coefficients are those of the free radiances, Σ p (m − pᵀ y / s), …
+        system.view_mut((0, 0), (k, dim)).copy_from(&dense::product(&squares, &form));
+        for i in 0..k {
+            system[(i, i)] += 1.0;
+            system[(i, dim)] = -sums.plain[i];
+        }
+        right.rows_mut(0, k).copy_from(&(&squares * &known));
+        // … the others are at their bounds or where the gradient is zero, …
+        for (j, bound) in (k..dim).zip(&free.bounds) {
+            match bound {
+                Some(value) => (system[(j, j)], right[j]) = (1.0, *value),
+                None => {
+                    system.view_mut((j, 0), (1, dim)).copy_from(&self.gram.row(j));
+                    right[j] = self.cross[j];
+                }
+            }
+        }
+        // … and m is the mean over all directions.
+        system.view_mut((dim, 0), (1, dim)).copy_from(&(divided.transpose() * &form));
+        system[(dim, dim)] = held.len() as f64 - count as f64;
+        right[dim] = divided.dot(&known);
+        let found = system.lu().solve(&right)?;
+        Some((found.rows(0, dim).into_owned(), found[dim]))
+    }
+
+    /// The bound that entry `j`, no coefficient, is held at next; `None` where it is free.
+    fn bound(&self, j: usize, now: Option<f64>, z: &DVector<f64>, gradient: &DVector<f64>) -> Option<f64> {
+        match now {
+            Some(value) => {
+                let rises = if value <= 0.0 { gradient[j] } else { -gradient[j] };
+                // What rounding makes of nothing frees no entry.
+                (rises >= -FLAT * self.cross[j].abs()).then_some(value)
+            }
+            None if z[j] < 0.0 => Some(0.0),
+            None => (z[j] > self.most(j)).then(|| self.most(j)),
+        }
+    }
+
+    /// Upper bound of entry `j`.
+    fn most(&self, j: usize) -> f64 {
+        if j + 1 == self.gram.nrows() { self.last_at_most } else { f64::INFINITY }
+    }
+
+    /// p of a direction: `[coefficient]`.
+    fn direction(&self, d: usize) -> &[f64] {
+        let k = self.projection.nrows();
+        &self.projection.as_slice()[d * k..][..k]
+    }
 }
 
-/// Sums over directions.
+/// Which entries are free.
+#[derive(PartialEq)]
+struct Free {
+    /// Radiances above zero: `[direction]`.
+    radiances: Vec<bool>,
+    /// Of the entries that are no coefficients, the bound of those at one.
+    bounds: Vec<Option<f64>>,
+}
+
+/// Sums over the free directions.
 struct Sums {
-    k: usize,
     /// Σ p pᵀ / s by columns, down to the diagonal: `[k][k]`.
     squares: Vec<f64>,
     /// Σ p: `[k]`.
@@ -164,11 +191,12 @@ impl<'c, C: Iterator<Item = (&'c [f64], f64)>> Hot for Summed<'_, C> {
 
     #[inline(always)]
     fn run(self) {
-        let Sums { k, squares, plain, divided } = self.sums;
+        let Sums { squares, plain, divided } = self.sums;
+        let k = plain.len();
         for (column, strength) in self.columns {
             add_scaled(plain, 1.0, column);
             add_scaled(divided, 1.0 / strength, column);
-            for (j, (sums, p)) in squares.chunks_exact_mut(*k).zip(column).enumerate() {
+            for (j, (sums, p)) in squares.chunks_exact_mut(k).zip(column).enumerate() {
                 add_scaled(&mut sums[..=j], p / strength, &column[..=j]);
             }
         }
@@ -204,8 +232,7 @@ impl Hot for Descent<'_> {
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let column = &form.projection.as_slice()[d * k..][..k];
-                let slope = dot(column, &gradient[..k]) + strength * (r[d] - mean);
+                let slope = dot(form.direction(d), &gradient[..k]) + strength * (r[d] - mean);
                 let step = (r[d] - slope / diagonal).max(0.0) - r[d];
                 if step != 0.0 {
                     r[d] += step;
@@ -220,8 +247,7 @@ impl Hot for Descent<'_> {
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let most = if j + 1 == dim { form.last_at_most } else { f64::INFINITY };
-                let step = (z[j] - gradient[j] / diagonal).clamp(0.0, most) - z[j];
+                let step = (z[j] - gradient[j] / diagonal).clamp(0.0, form.most(j)) - z[j];
                 if step != 0.0 {
                     z[j] += step;
                     add_scaled(gradient, step, column);
