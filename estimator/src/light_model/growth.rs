@@ -1,7 +1,7 @@
 //! Growth of a near model: emitting pieces and lamps are added, placed again and taken away while held-out surface asks for it.
 
 use crate::factorisation::held_out::mean;
-use crate::light_model::choose::{Choice, Columns, Model, REGULARISATION, WORTHWHILE};
+use crate::light_model::choose::{Choice, Model, REGULARISATION, WORTHWHILE};
 use crate::light_model::held_out::is_better;
 use crate::light_model::lamps::Sphere;
 use crate::light_model::samples;
@@ -49,8 +49,7 @@ impl Choice<'_> {
                 solved(&emitters, &best.lamps)
             };
             let others: Vec<usize> = (0..self.unseen).filter(|p| !best.emitters.contains(p)).collect();
-            let tried: Vec<Model> = others.into_par_iter().map(with).collect();
-            let next = tried.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)));
+            let next = least_held_out(others.into_par_iter().map(with).collect());
             let Some(next) = next.filter(|n| is_better(&n.blocks, &best.blocks)) else { break };
             best = next;
         }
@@ -191,8 +190,7 @@ impl Choice<'_> {
 
     /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
     fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
-        let columns = self.search_columns(&model.emitters, &model.lamps);
-        let places = self.search(&columns).best_places();
+        let places = self.search(&model.emitters, &model.lamps).best_places();
         let (low, high) = samples::bounds(self.scene.mesh);
         let middle = 0.5 * (low + high);
         let solved = |sphere: Sphere| {
@@ -200,21 +198,16 @@ impl Choice<'_> {
             lamps.insert(at, sphere);
             self.solved(&model.emitters, &lamps, REGULARISATION)
         };
-        let near = |center: Vec3| (solved(Sphere { center, radius: LAMP_RADIUS * center.distance(middle) }), center);
-        let tried: Vec<(Model, Vec3)> = places.into_par_iter().map(near).collect();
-        let (near, center) = tried.into_iter().min_by(|a, b| mean(&a.0.blocks).total_cmp(&mean(&b.0.blocks)))?;
-        let distant = solved(self.at_infinity((center - middle).normalize_or_zero()));
+        let near = |center: Vec3| solved(Sphere { center, radius: LAMP_RADIUS * center.distance(middle) });
+        let near = least_held_out(places.into_par_iter().map(near).collect())?;
+        let distant = solved(self.at_infinity((near.lamps[at].center - middle).normalize_or_zero()));
         is_better(&near.blocks, &distant.blocks).then_some(near)
     }
 
-    /// Columns of the model that a lamp is looked for beside.
-    pub(super) fn search_columns(&self, emitters: &[usize], lamps: &[Sphere]) -> Columns {
-        self.columns(SEARCH_BANDS.min(self.traced.bands), emitters, lamps)
-    }
-
-    /// The search for a lamp beside a model of these columns.
-    pub(super) fn search(&self, columns: &Columns) -> Search<'_> {
-        Search::new(self.scene.mesh, self.scene.rays, &self.samples, columns)
+    /// The search for a lamp beside these sources.
+    pub(super) fn search(&self, emitters: &[usize], lamps: &[Sphere]) -> Search<'_> {
+        let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), emitters, lamps);
+        Search::new(self.scene.mesh, self.scene.rays, &self.samples, &columns)
     }
 
     /// A lamp at infinity in this direction, a unit vector from the scene.
@@ -223,4 +216,9 @@ impl Choice<'_> {
         let distance = INFINITE * low.distance(high);
         Sphere { center: 0.5 * (low + high) + direction * distance, radius: LAMP_RADIUS * distance }
     }
+}
+
+/// The model with the least held-out error.
+fn least_held_out(models: Vec<Model>) -> Option<Model> {
+    models.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)))
 }

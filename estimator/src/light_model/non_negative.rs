@@ -13,7 +13,7 @@ const FLAT: f64 = 1e-12;
 /// Directions that the surfaces tell less of than this share of the best observed one are held at the mean by more.
 const MIN_OBSERVABILITY: f64 = 5e-3;
 
-/// `min ½ zᵀ H z − gᵀ z + ½ Σ_d s_d (r_d − mean r)²` where the first entries of z are `projection · r` with r ≥ 0 and the `extras` others
+/// `min ½ zᵀ H z − gᵀ z + ½ Σ_d s_d (r_d − mean r)²` where the first entries of z are `projection · r` with r ≥ 0 and the others, the extras,
 /// are ≥ 0. The mean counts as given: no derivative is taken of it.
 pub(super) struct NonNegative<'a> {
     /// H: `[dim][dim]`.
@@ -22,8 +22,6 @@ pub(super) struct NonNegative<'a> {
     pub cross: DVector<f64>,
     /// `[coefficient][direction]`.
     pub projection: &'a DMatrix<f64>,
-    /// Entries of z that are no coefficients of radiance.
-    pub extras: usize,
     /// Upper bound of the last entry.
     pub last_at_most: f64,
 }
@@ -104,18 +102,15 @@ impl NonNegative<'_> {
         let (k, dim) = (self.projection.nrows(), self.gram.nrows());
         let numbers = (0..held.len()).filter(|d| free.radiances[*d]);
         let count = numbers.clone().count();
-        let mut sums = Sums { squares: vec![0.0; k * k], plain: vec![0.0; k], divided: vec![0.0; k] };
         let columns = numbers.map(|d| (self.direction(d), held[d].1));
-        dispatch(Isa::detect(), Summed { sums: &mut sums, columns });
-        let squares = DMatrix::from_fn(k, k, |i, j| sums.squares[i.max(j) * k + i.min(j)]);
-        let divided = DVector::from_column_slice(&sums.divided);
+        let Sums { squares, plain, divided } = dispatch(Isa::detect(), Summed { k, columns });
         let (form, known) = (self.gram.rows(0, k).into_owned(), self.cross.rows(0, k).into_owned());
         let (mut system, mut right) = (DMatrix::zeros(dim + 1, dim + 1), DVector::zeros(dim + 1));
         // The coefficients are those of the free radiances, Σ p (m − pᵀ y / s), …
         system.view_mut((0, 0), (k, dim)).copy_from(&dense::product(&squares, &form));
         for i in 0..k {
             system[(i, i)] += 1.0;
-            system[(i, dim)] = -sums.plain[i];
+            system[(i, dim)] = -plain[i];
         }
         right.rows_mut(0, k).copy_from(&(&squares * &known));
         // … the others are at their bounds or where the gradient is zero, …
@@ -172,34 +167,36 @@ struct Free {
 
 /// Sums over the free directions.
 struct Sums {
-    /// Σ p pᵀ / s by columns, down to the diagonal: `[k][k]`.
-    squares: Vec<f64>,
+    /// Σ p pᵀ / s: `[k][k]`.
+    squares: DMatrix<f64>,
     /// Σ p: `[k]`.
-    plain: Vec<f64>,
+    plain: DVector<f64>,
     /// Σ p / s: `[k]`.
-    divided: Vec<f64>,
+    divided: DVector<f64>,
 }
 
-/// Adds columns of the projection, each with its s.
-struct Summed<'a, C> {
-    sums: &'a mut Sums,
+/// Adds up columns of the projection, `[k]`, each with its s.
+struct Summed<C> {
+    k: usize,
     columns: C,
 }
 
-impl<'c, C: Iterator<Item = (&'c [f64], f64)>> Hot for Summed<'_, C> {
-    type Output = ();
+impl<'c, C: Iterator<Item = (&'c [f64], f64)>> Hot for Summed<C> {
+    type Output = Sums;
 
     #[inline(always)]
-    fn run(self) {
-        let Sums { squares, plain, divided } = self.sums;
-        let k = plain.len();
-        for (column, strength) in self.columns {
-            add_scaled(plain, 1.0, column);
-            add_scaled(divided, 1.0 / strength, column);
-            for (j, (sums, p)) in squares.chunks_exact_mut(k).zip(column).enumerate() {
+    fn run(self) -> Sums {
+        let Self { k, columns } = self;
+        let (mut squares, mut plain, mut divided) = (DMatrix::zeros(k, k), DVector::zeros(k), DVector::zeros(k));
+        for (column, strength) in columns {
+            add_scaled(plain.as_mut_slice(), 1.0, column);
+            add_scaled(divided.as_mut_slice(), 1.0 / strength, column);
+            for (j, (sums, p)) in squares.as_mut_slice().chunks_exact_mut(k).zip(column).enumerate() {
                 add_scaled(&mut sums[..=j], p / strength, &column[..=j]);
             }
         }
+        squares.fill_lower_triangle_with_upper_triangle();
+        Sums { squares, plain, divided }
     }
 }
 
@@ -241,7 +238,7 @@ impl Hot for Descent<'_> {
                 }
                 size += r[d] * r[d] * observed;
             }
-            for j in dim - form.extras..dim {
+            for j in k..dim {
                 let column = &gram[j * dim..][..dim];
                 let diagonal = column[j];
                 if diagonal <= 0.0 {
@@ -280,7 +277,6 @@ mod tests {
             gram: equations.transpose() * &equations / rows as f64,
             cross: equations.transpose() * wanted / rows as f64,
             projection,
-            extras: 2,
             last_at_most: 0.3,
         }
     }

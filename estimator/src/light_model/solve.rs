@@ -154,7 +154,6 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let mut solution = DVector::zeros(dim);
     let mut radiance = DVector::from_element(projection.ncols(), 1.0);
     let mut last = None;
-    let mut row = vec![0.0; dim];
     let largest = |j: usize| fitted.iter().map(|n| f64::from(shared[n * columns + j])).fold(0.0, f64::max);
     let brought = |j: usize| largest(j).max(rows.least_brought.get(j - coefficients).copied().unwrap_or(0.0));
     let strongest: Vec<f64> = (coefficients..columns).map(brought).collect();
@@ -181,8 +180,8 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
                 secondary: secondary[n],
             }
         };
-        let summed = fitted.iter().map(of_row);
-        dispatch(isa, Summed { statistics: &mut statistics, mean: mean.as_mut_slice(), row: &mut row, rows: summed });
+        let rows = fitted.iter().map(of_row);
+        dispatch(isa, Summed { statistics: &mut statistics, mean: mean.as_mut_slice(), rows });
         if statistics.square.iter().all(|s| *s <= 0.0) {
             break;
         }
@@ -192,7 +191,6 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             cross: &mean * (NORMALISED * total) + explained,
             gram: reduced.clone(),
             projection,
-            extras: dim - coefficients,
             last_at_most: MAX_ALBEDO / brightest,
         };
         problem.gram.ger(NORMALISED * total, &mean, &mean, 1.0);
@@ -340,8 +338,6 @@ struct Row<'a> {
 struct Summed<'a, R> {
     statistics: &'a mut Statistics,
     mean: &'a mut [f64],
-    /// Room for t.
-    row: &'a mut [f64],
     rows: R,
 }
 
@@ -350,21 +346,22 @@ impl<'r, R: Iterator<Item = Row<'r>>> Hot for Summed<'_, R> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { statistics, mean, row, rows } = self;
+        let Self { statistics, mean, rows } = self;
+        let mut row = vec![0.0; mean.len()];
         for Row { segment, weight, factor, known, share, shared, secondary } in rows {
             row.iter_mut().zip(shared).for_each(|(r, t)| *r = f64::from(*t));
             row[shared.len()] = secondary;
             statistics.square[segment] += weight * factor * factor;
             statistics.known[segment] += weight * factor * known;
-            add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, row);
+            add_scaled(statistics.cross[segment].as_mut_slice(), weight * factor, &row);
             if known > 0.0 {
-                add_scaled(statistics.known_cross.as_mut_slice(), weight * known, row);
+                add_scaled(statistics.known_cross.as_mut_slice(), weight * known, &row);
             }
             let gram = statistics.gram.as_mut_slice().chunks_exact_mut(row.len());
-            for (j, (column, t)) in gram.zip(&*row).enumerate() {
+            for (j, (column, t)) in gram.zip(&row).enumerate() {
                 add_scaled(&mut column[..=j], weight * t, &row[..=j]);
             }
-            add_scaled(mean, share, row);
+            add_scaled(mean, share, &row);
         }
     }
 }

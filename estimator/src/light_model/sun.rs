@@ -22,8 +22,7 @@ impl Choice<'_> {
         if options.solver != SolverChoice::Robust {
             return None;
         }
-        let columns = self.search_columns(&[], &[]);
-        let sphere = self.at_infinity(self.search(&columns).best_direction()?);
+        let sphere = self.at_infinity(self.search(&[], &[]).best_direction()?);
         // Cheap models first: the factorisation takes longer than all of the search.
         let (without, with) =
             rayon::join(|| self.solved(&[], &[], REGULARISATION), || self.solved(&[], &[sphere], REGULARISATION));

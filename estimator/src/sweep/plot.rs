@@ -17,6 +17,9 @@ const LEVELS: [(TransferLevel, &str, RGBColor); 3] = [
 const AUTO: RGBColor = RGBColor(20, 140, 60);
 const PAPER: RGBColor = RGBColor(200, 40, 80);
 const FRONT: RGBColor = RGBColor(60, 60, 70);
+/// Half width of the mark of a named setting, and the distance of its name from the middle, in pixels.
+const MARK: i32 = 6;
+const ASIDE: i32 = 9;
 
 /// Draws the sweeps of several scenes as a PNG file.
 ///
@@ -108,7 +111,7 @@ where
             _ => LEVELS.iter().find(|l| l.0 == p.transfer).map_or(FRONT, |l| l.2),
         };
         let mark = EmptyElement::at(at(p))
-            + Circle::new((0, 0), 6, color.filled())
+            + Circle::new((0, 0), MARK, color.filled())
             + Text::new(p.name.clone(), offset, text(15).color(&color));
         chart.draw_series(std::iter::once(mark))?;
     }
@@ -125,9 +128,6 @@ where
 /// Where the names of the marks at `centers` stand, from the center to the name's upper left corner: the first place beside it, from near to
 /// far, where a name covers none of these marks and no name before it, and ends before `right`. All are in pixels.
 fn offsets(centers: &[(i32, i32)], sizes: &[(u32, u32)], right: i32) -> Vec<(i32, i32)> {
-    // Half width of a mark, and the distance of a name from its middle.
-    const MARK: i32 = 6;
-    const ASIDE: i32 = 9;
     let mut taken: Vec<[i32; 4]> = centers.iter().map(|(x, y)| [x - MARK, y - MARK, x + MARK, y + MARK]).collect();
     let place = |(&(x, y), &(width, height)): (&(i32, i32), &(u32, u32))| {
         let (width, height) = (width as i32, height as i32);
