@@ -43,7 +43,7 @@ pub struct Alignment {
 }
 
 /// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
-/// given pose, on which the prior acts. A keyframe that ran away is `held` by the deviation of the others' given poses.
+/// given pose, on which the prior acts.
 /// `None` if there are too few edge pixels or the system is singular.
 pub fn align(
     context: &AssociationContext,
@@ -51,7 +51,7 @@ pub fn align(
     colors: &[Vec3],
     view: &RefinedView,
     moved: &Motion,
-    held: Option<&PoseDeviation>,
+    expected: &Expected,
     level: f64,
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
@@ -62,11 +62,11 @@ pub fn align(
     }
     let depth = median(pixels.iter().map(|p| p.point.z))?;
     let prior = Motion::from_fn(|r, _| {
-        let given = tuning.prior_px / target.camera.fx.abs() * level * if r < 3 { 1.0 } else { depth };
-        let sigma = held.map_or(given, |h| given.min(if r < 3 { h.rotation } else { h.translation }));
+        let given = expected.deviation_px / target.camera.fx.abs() * level * if r < 3 { 1.0 } else { depth };
+        let sigma = expected.held.map_or(given, |h| given.min(if r < 3 { h.rotation } else { h.translation }));
         1.0 / (sigma * sigma)
     });
-    let problem = Problem { target, pixels, prior, held: held.is_some(), tuning };
+    let problem = Problem { target, pixels, prior, common: expected.common, held: expected.held.is_some(), tuning };
     let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
     let mut now = problem.compared(&delta);
     let scale = problem.robust_scale(&now.residuals)?;
@@ -99,6 +99,24 @@ pub fn align(
         before,
         after,
     })
+}
+
+/// What the prior expects of a keyframe's motion.
+#[derive(Debug, Clone, Copy)]
+pub struct Expected {
+    /// The motion that the keyframes have in common: zero, or that of a camera which is not where the depth sensor takes it to be.
+    pub common: Motion,
+    /// Standard deviation about it, in pixels at full resolution.
+    pub deviation_px: f64,
+    /// A keyframe that ran away is held by the deviation of the others' poses.
+    pub held: Option<PoseDeviation>,
+}
+
+impl Expected {
+    /// Of poses whose errors have nothing in common.
+    pub fn given(tuning: &PoseTuning) -> Self {
+        Self { common: Motion::zeros(), deviation_px: tuning.prior_px, held: None }
+    }
 }
 
 /// Standard deviation of given poses, per unknown.
@@ -188,6 +206,8 @@ struct Problem<'a> {
     pixels: Vec<EdgePixel>,
     /// Information of the prior on the total motion, per unknown.
     prior: Motion,
+    /// Mean of the prior.
+    common: Motion,
     /// The prior counts among the cost, too: the keyframe ran away.
     held: bool,
     tuning: &'a PoseTuning,
@@ -232,7 +252,8 @@ impl Problem<'_> {
         }
         // The loss of a pixel, over three channels, is TUKEY² / 6 · 3 of the quadratic form's units at most.
         let unit = self.pixels.len() as f64 * TUKEY * TUKEY / (2.0 * self.tuning.pixels_per_observation);
-        loss + 0.5 * self.prior.component_mul(moved).dot(moved) / unit
+        let off = moved - self.common;
+        loss + 0.5 * self.prior.component_mul(&off).dot(&off) / unit
     }
 
     /// One step of Gauss–Newton and the RMS motion of pixels that it makes; `None` if there is no finite solution.
@@ -247,7 +268,7 @@ impl Problem<'_> {
         hessian *= information;
         gradient *= information;
         hessian += Matrix6::from_diagonal(&self.prior);
-        gradient += self.prior.component_mul(moved);
+        gradient += self.prior.component_mul(&(moved - self.common));
         let step = -(hessian.cholesky()?.solve(&gradient));
         let square = (step.transpose() * motion * step)[0] / self.pixels.len() as f64;
         step.iter().all(|x| x.is_finite()).then(|| (step, square.sqrt()))

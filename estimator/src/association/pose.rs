@@ -1,6 +1,6 @@
 //! Pose refinement: all keyframes against common lit colours, each against colours without its own observations.
 
-use crate::association::alignment::{Alignment, Motion, PoseDeviation, align};
+use crate::association::alignment::{Alignment, Expected, Motion, PoseDeviation, align};
 use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
@@ -17,6 +17,8 @@ use recordings::types::Pose;
 const MIN_ROUNDS: u32 = 2;
 /// Rounds from given poses until every pyramid level has been used and the finest has converged.
 const TURNING_ROUNDS: u32 = 3;
+/// Fewer motions do not tell what they have in common.
+const MIN_COMMON: usize = 3;
 /// A lit colour without the keyframe's own observations needs this share of the vertex's weight.
 const MIN_REST: f32 = 0.05;
 
@@ -68,14 +70,16 @@ impl PoseRefiner {
         };
         let filled = fill(context, &lit.color, &lit.weight);
         let own = of_keyframes(field, views.len());
-        let deviation = self.hold_runaways(&context.config.tuning.pose);
+        let tuning = &context.config.tuning.pose;
+        let expected = if context.poses_are_tracked { self.tracked(tuning) } else { Expected::given(tuning) };
+        let deviation = self.hold_runaways(&expected.common, tuning);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
             .into_par_iter()
             .map(|j| {
                 let image = images[j].as_ref()?;
                 let colors = without_own(field, lit, &filled, &views[j], &own[j]);
-                let rotation_alone = self.turns_from.map(|_| &PoseDeviation::ROTATION_ALONE);
-                let held = rotation_alone.or(deviation.as_ref().filter(|_| self.held[j]));
+                let rotation_alone = self.turns_from.map(|_| PoseDeviation::ROTATION_ALONE);
+                let expected = Expected { held: rotation_alone.or(deviation.filter(|_| self.held[j])), ..expected };
                 let mut total: Option<Alignment> = None;
                 for &level in levels {
                     let mut view = views[j];
@@ -84,7 +88,7 @@ impl PoseRefiner {
                         view.world_from_camera = a.pose;
                         moved = a.moved;
                     }
-                    if let Some(next) = align(context, image, &colors, &view, &moved, held, level) {
+                    if let Some(next) = align(context, image, &colors, &view, &moved, &expected, level) {
                         let step_px = libm::hypot(total.as_ref().map_or(0.0, |t| t.step_px), next.step_px);
                         total = Some(Alignment { step_px, ..next });
                     }
@@ -138,13 +142,24 @@ impl PoseRefiner {
 
     /// Marks keyframes that moved much farther than the others: what they show does not hold them. Returns the deviation of the
     /// given poses, if enough keyframes tell it.
-    fn hold_runaways(&mut self, tuning: &PoseTuning) -> Option<PoseDeviation> {
-        let aligned = self.moved.iter().filter(|m| m.norm() > 0.0).count();
-        let deviation = PoseDeviation::of(&self.moved).filter(|_| aligned >= tuning.deviation_keyframes as usize)?;
-        for (held, moved) in self.held.iter_mut().zip(&self.moved) {
-            *held |= deviation.is_exceeded_by(moved, tuning.runaway_deviations);
+    fn hold_runaways(&mut self, common: &Motion, tuning: &PoseTuning) -> Option<PoseDeviation> {
+        let off: Vec<Option<Motion>> = self.moved.iter().map(|m| (m.norm() > 0.0).then(|| m - common)).collect();
+        let aligned: Vec<Motion> = off.iter().flatten().copied().collect();
+        let deviation = PoseDeviation::of(&aligned).filter(|_| aligned.len() >= tuning.deviation_keyframes as usize)?;
+        for (held, off) in self.held.iter_mut().zip(&off) {
+            *held |= off.is_some_and(|off| deviation.is_exceeded_by(&off, tuning.runaway_deviations));
         }
         Some(deviation)
+    }
+
+    /// Tracked poses are right among each other but for a little: what the keyframes' motions have in common, as where the sensor
+    /// takes its colour camera to be, is found from all of them. Too few keyframes do not tell it.
+    fn tracked(&self, tuning: &PoseTuning) -> Expected {
+        let aligned: Vec<&Motion> = self.moved.iter().filter(|m| m.norm() > 0.0).collect();
+        let middle = |r: usize| median(aligned.iter().map(|m| m[r])).filter(|_| aligned.len() >= MIN_COMMON);
+        let common = Motion::from_fn(|r, _| middle(r).unwrap_or(0.0));
+        let deviation_px = if self.given.len() < MIN_COMMON { tuning.prior_px } else { tuning.tracked_px };
+        Expected { common, deviation_px, held: None }
     }
 
     /// Steps and residuals as evidence.
@@ -180,8 +195,9 @@ pub fn located(
     let colors = fill(context, color, weight);
     let mut found = *view;
     let mut moved = Motion::zeros();
+    let expected = Expected::given(&context.config.tuning.pose);
     for level in [0.25, 0.5, 1.0, 1.0] {
-        if let Some(a) = align(context, image, &colors, &found, &moved, None, level) {
+        if let Some(a) = align(context, image, &colors, &found, &moved, &expected, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);
         }
     }
@@ -223,6 +239,21 @@ fn without_own(field: &LightField, lit: &LitColors, filled: &[Vec3], view: &Refi
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn tracked_poses_stay_near_what_their_motions_have_in_common() {
+        let tuning = PoseTuning::default();
+        let motion = |x: f64| Motion::from([0.01, x, 0.0, 0.0, 0.02, x]);
+        let mut refiner = PoseRefiner::new(vec![Pose::IDENTITY; 6]);
+        let zero = refiner.tracked(&tuning);
+        assert_eq!((zero.common, zero.deviation_px), (Motion::zeros(), tuning.tracked_px));
+        // One that was not aligned, and one that ran away.
+        refiner.moved = [-0.003, 0.0, 0.002, 0.004, 0.9].map(motion).into_iter().chain([Motion::zeros()]).collect();
+        let common = refiner.tracked(&tuning).common;
+        assert!((common - motion(0.002)).norm() < 1e-12, "{common}");
+        let few = PoseRefiner::new(vec![Pose::IDENTITY; 2]).tracked(&tuning);
+        assert_eq!((few.common, few.deviation_px), (Motion::zeros(), tuning.prior_px));
+    }
 
     #[test]
     fn translations_that_rotations_undo_are_ambiguous() {

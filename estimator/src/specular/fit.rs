@@ -2,6 +2,7 @@
 
 use crate::association::Association;
 use crate::numerics::robust::{median, robust_sigma};
+use crate::specular::agreement::borne_out;
 use crate::specular::gloss::{Gloss, LOBES};
 use crate::specular::mirror_rays::MirrorRays;
 use crate::specular::observations::{MirrorObservation, MirrorObservations};
@@ -58,7 +59,13 @@ pub(super) fn fit(
             let chosen: Vec<usize> = vertices.into_iter().step_by(stride).collect();
             let found: Vec<MirrorObservation> =
                 chosen.par_iter().flat_map_iter(|&i| observations.of(i, false)).collect();
-            SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |fit| fit.gloss())
+            let fitted = SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |fit| fit.gloss());
+            if !fitted.significant {
+                return fitted;
+            }
+            // What a mirrored surface shows is gloss like the rest.
+            let views: Vec<Vec<MirrorObservation>> = chosen.par_iter().map(|&i| observations.of(i, true)).collect();
+            borne_out(&views, fitted, tuning.min_significance)
         })
         .collect()
 }

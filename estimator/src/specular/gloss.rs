@@ -26,6 +26,12 @@ impl Gloss {
     pub const NONE: Self =
         Self { w_d: 1.0, w_s: 0.0, error: f64::INFINITY, significant: false, lobe: 0, lobe_weight: 0.0 };
 
+    /// This share of the gloss.
+    pub(super) fn shrunk(self, share: f64) -> Self {
+        let w_d = 1.0 + share * (self.w_d - 1.0);
+        Self { w_d, w_s: share * self.w_s, lobe_weight: share * self.lobe_weight, ..self }
+    }
+
     /// The same reflection where the light is `1 / factor` times what it was.
     pub fn scale_specular(&mut self, factor: f64) {
         self.w_s *= factor;

@@ -5,6 +5,7 @@
 //! one vertex, e_j f~_ij − f_i = w_s (f_s,ij − median over j of f_s,ij): the diffuse part cancels whatever its albedo, and f
 //! and f_s cannot be collinear. w_d then follows from Eq. (13) as it stands.
 
+mod agreement;
 mod clean;
 mod fit;
 mod gloss;

@@ -18,9 +18,6 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
-/// The error of the predicted keyframes may rise by this share when gloss is removed. On generated scenes it rises by at most 2.9 %.
-const MOST_LOSS: f64 = 0.03;
-
 /// The surface whose gloss is fitted.
 #[derive(Clone, Copy)]
 pub struct Surface<'a> {
@@ -83,18 +80,13 @@ pub fn refit(
         return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
     }
     let refitter = Refitter { surface, rays: &rays, fields, tuning };
-    // Significant weights are the evidence: the prediction hangs on the error of the light more than on gloss, so it does not
-    // decide whether gloss is there. But where keyframes are predicted far worse without it, something else passed for gloss.
-    let matte = vec![Gloss::NONE; surface.segments];
-    let without = refitter.predict(&found, &matte).error();
+    // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
+    // so it does not decide whether gloss is there.
+    let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
-    let cleaned = best.prediction.error() <= (1.0 + MOST_LOSS) * without;
-    let mut decisions = vec![decision(cleaned, Some(without), errors)];
-    if !cleaned {
-        return Refitted { found, gloss: matte, decisions };
-    }
+    let mut decisions = vec![decision(true, Some(without), errors)];
     let best = refitter.more_bands(best, &mut decisions);
     fields.lit_color = best.lit_color;
     let albedo = &best.found.solution.albedo;
