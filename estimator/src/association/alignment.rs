@@ -43,15 +43,14 @@ pub struct Alignment {
 }
 
 /// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
-/// given pose, on which the prior acts.
-/// `None` if there are too few edge pixels or the system is singular.
+/// given pose, of which `expected` is the prior. `None` if there are too few edge pixels or the system is singular.
 pub fn align(
     context: &AssociationContext,
     image: &KeyframeImage,
     colors: &[Vec3],
     view: &RefinedView,
     moved: &Motion,
-    expected: &Expected,
+    expected: &ExpectedMotion,
     level: f64,
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
@@ -103,7 +102,7 @@ pub fn align(
 
 /// What the prior expects of a keyframe's motion.
 #[derive(Debug, Clone, Copy)]
-pub struct Expected {
+pub struct ExpectedMotion {
     /// The motion that the keyframes have in common: zero, or that of a camera which is not where the depth sensor takes it to be.
     pub common: Motion,
     /// Standard deviation about it, in pixels at full resolution.
@@ -112,7 +111,7 @@ pub struct Expected {
     pub held: Option<PoseDeviation>,
 }
 
-impl Expected {
+impl ExpectedMotion {
     /// Of poses whose errors have nothing in common.
     pub fn given(tuning: &PoseTuning) -> Self {
         Self { common: Motion::zeros(), deviation_px: tuning.prior_px, held: None }

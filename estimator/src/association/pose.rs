@@ -1,6 +1,6 @@
 //! Pose refinement: all keyframes against common lit colours, each against colours without its own observations.
 
-use crate::association::alignment::{Alignment, Expected, Motion, PoseDeviation, align};
+use crate::association::alignment::{Alignment, ExpectedMotion, Motion, PoseDeviation, align};
 use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
@@ -71,7 +71,7 @@ impl PoseRefiner {
         let filled = fill(context, &lit.color, &lit.weight);
         let own = of_keyframes(field, views.len());
         let tuning = &context.config.tuning.pose;
-        let expected = if context.poses_are_tracked { self.tracked(tuning) } else { Expected::given(tuning) };
+        let expected = if context.poses_are_tracked { self.tracked(tuning) } else { ExpectedMotion::given(tuning) };
         let deviation = self.hold_runaways(&expected.common, tuning);
         let alignments: Vec<Option<Alignment>> = (0..views.len())
             .into_par_iter()
@@ -79,7 +79,8 @@ impl PoseRefiner {
                 let image = images[j].as_ref()?;
                 let colors = without_own(field, lit, &filled, &views[j], &own[j]);
                 let rotation_alone = self.turns_from.map(|_| PoseDeviation::ROTATION_ALONE);
-                let expected = Expected { held: rotation_alone.or(deviation.filter(|_| self.held[j])), ..expected };
+                let expected =
+                    ExpectedMotion { held: rotation_alone.or(deviation.filter(|_| self.held[j])), ..expected };
                 let mut total: Option<Alignment> = None;
                 for &level in levels {
                     let mut view = views[j];
@@ -154,12 +155,12 @@ impl PoseRefiner {
 
     /// Tracked poses are right among each other but for a little: what the keyframes' motions have in common, as where the sensor
     /// takes its colour camera to be, is found from all of them. Too few keyframes do not tell it.
-    fn tracked(&self, tuning: &PoseTuning) -> Expected {
+    fn tracked(&self, tuning: &PoseTuning) -> ExpectedMotion {
         let aligned: Vec<&Motion> = self.moved.iter().filter(|m| m.norm() > 0.0).collect();
         let middle = |r: usize| median(aligned.iter().map(|m| m[r])).filter(|_| aligned.len() >= MIN_COMMON);
         let common = Motion::from_fn(|r, _| middle(r).unwrap_or(0.0));
         let deviation_px = if self.given.len() < MIN_COMMON { tuning.prior_px } else { tuning.tracked_px };
-        Expected { common, deviation_px, held: None }
+        ExpectedMotion { common, deviation_px, held: None }
     }
 
     /// Steps and residuals as evidence.
@@ -195,7 +196,7 @@ pub fn located(
     let colors = fill(context, color, weight);
     let mut found = *view;
     let mut moved = Motion::zeros();
-    let expected = Expected::given(&context.config.tuning.pose);
+    let expected = ExpectedMotion::given(&context.config.tuning.pose);
     for level in [0.25, 0.5, 1.0, 1.0] {
         if let Some(a) = align(context, image, &colors, &found, &moved, &expected, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);

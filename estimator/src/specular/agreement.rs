@@ -8,9 +8,10 @@ use rayon::prelude::*;
 /// Shares of a fitted weight that are tried.
 const SHARES: [f64; 2] = [1.0, 0.5];
 
-/// The fitted gloss of a segment, or less of it, so that the views of its vertices (`views`: `[vertex][view]`) agree no worse once it is
-/// taken away; matte if they never do, or if what is left is less than `min_significance` standard errors. Neither irradiance nor albedo enters. The fit bounds what single views say, and sees no
-/// mirrored surface; so where the light is wrong, it finds gloss that tears the views apart.
+/// The fitted gloss of a segment, or less of it, so that the views of its vertices (`views`: `[vertex][view]`) agree no worse once it
+/// is taken away; matte if they never do, or if what is left is less than `min_significance` standard errors. Neither irradiance nor
+/// albedo enters. The fit bounds what single views say, and sees no mirrored surface; so where the light is wrong, it finds gloss
+/// that tears the views apart.
 pub(super) fn borne_out(views: &[Vec<MirrorObservation>], fitted: Gloss, min_significance: f64) -> Gloss {
     let as_seen = disagreement(views, &Gloss::NONE);
     let agrees = |gloss: &Gloss| disagreement(views, gloss) <= as_seen;
