@@ -131,11 +131,11 @@ impl PoseDeviation {
     /// Of poses whose translation is right, while their rotation may be off by as much as the prior allows.
     pub const ROTATION_ALONE: Self = Self { rotation: f64::INFINITY, translation: 1e-6 };
 
-    /// From the motions of many keyframes, most of which were aligned well; `None` if none moved.
-    pub fn of(moved: &[Motion]) -> Option<Self> {
+    /// From the motions of many keyframes, most of which were aligned well, about what they have in common; `None` if they do not
+    /// differ from it.
+    pub fn of(off: &[Motion]) -> Option<Self> {
         let sigma = |unknowns: std::ops::Range<usize>| {
-            let all = moved.iter().filter(|m| m.norm() > 0.0);
-            robust_sigma(all.flat_map(|m| unknowns.clone().map(|r| m[r].abs())))
+            robust_sigma(off.iter().flat_map(|m| unknowns.clone().map(|r| m[r].abs())))
         };
         let own = Self { rotation: sigma(0..3), translation: sigma(3..6) };
         (own.rotation > 0.0 && own.translation > 0.0).then_some(own)

@@ -144,20 +144,24 @@ impl PoseRefiner {
     /// Marks keyframes that moved much farther than the others: what they show does not hold them. Returns the deviation of the
     /// given poses, if enough keyframes tell it.
     fn hold_runaways(&mut self, common: &Motion, tuning: &PoseTuning) -> Option<PoseDeviation> {
-        let off: Vec<Option<Motion>> = self.moved.iter().map(|m| (m.norm() > 0.0).then(|| m - common)).collect();
-        let aligned: Vec<Motion> = off.iter().flatten().copied().collect();
-        let deviation = PoseDeviation::of(&aligned).filter(|_| aligned.len() >= tuning.deviation_keyframes as usize)?;
-        for (held, off) in self.held.iter_mut().zip(&off) {
-            *held |= off.is_some_and(|off| deviation.is_exceeded_by(&off, tuning.runaway_deviations));
+        let off: Vec<Motion> = self.aligned().map(|m| m - common).collect();
+        let deviation = PoseDeviation::of(&off).filter(|_| off.len() >= tuning.deviation_keyframes as usize)?;
+        for (held, moved) in self.held.iter_mut().zip(&self.moved).filter(|(_, m)| has_moved(m)) {
+            *held |= deviation.is_exceeded_by(&(moved - common), tuning.runaway_deviations);
         }
         Some(deviation)
+    }
+
+    /// The motions of the keyframes that were aligned.
+    fn aligned(&self) -> impl Iterator<Item = &Motion> {
+        self.moved.iter().filter(|m| has_moved(m))
     }
 
     /// Tracked poses are right among each other but for a little: what the keyframes' motions have in common, as where the sensor
     /// takes its colour camera to be, is found from all of them. Too few keyframes do not tell it.
     fn tracked(&self, tuning: &PoseTuning) -> ExpectedMotion {
-        let aligned: Vec<&Motion> = self.moved.iter().filter(|m| m.norm() > 0.0).collect();
-        let middle = |r: usize| median(aligned.iter().map(|m| m[r])).filter(|_| aligned.len() >= MIN_COMMON);
+        let is_told = self.aligned().count() >= MIN_COMMON;
+        let middle = |r: usize| median(self.aligned().map(|m| m[r])).filter(|_| is_told);
         let common = Motion::from_fn(|r, _| middle(r).unwrap_or(0.0));
         let deviation_px = if self.given.len() < MIN_COMMON { tuning.prior_px } else { tuning.tracked_px };
         ExpectedMotion { common, deviation_px, held: None }
@@ -172,6 +176,11 @@ impl PoseRefiner {
             last_residual: self.last_residual,
         }
     }
+}
+
+/// False for a keyframe that was not aligned.
+fn has_moved(motion: &Motion) -> bool {
+    motion.norm() > 0.0
 }
 
 /// Long motions whose translations rotations mostly undo again: far surfaces without relief tell the two apart by little, and what is

@@ -28,9 +28,9 @@ pub(super) fn borne_out(views: &[Vec<MirrorObservation>], fitted: Gloss, min_sig
 fn disagreement(found: &[Vec<MirrorObservation>], gloss: &Gloss) -> f64 {
     let of_vertex = |views: &Vec<MirrorObservation>| -> f64 {
         let of_channel = |c: usize| {
-            let matte = |o: &MirrorObservation| o.seen[c] - gloss.lobe_weight * o.mirror[gloss.lobe][c];
-            let middle = median(views.iter().map(matte)).unwrap_or(0.0);
-            let share = |o: &MirrorObservation| ((matte(o) - middle).abs() / o.lit[c].max(f64::MIN_POSITIVE)).min(1.0);
+            let middle = median(views.iter().map(|o| o.matte(gloss, c))).unwrap_or(0.0);
+            let share =
+                |o: &MirrorObservation| ((o.matte(gloss, c) - middle).abs() / o.lit[c].max(f64::MIN_POSITIVE)).min(1.0);
             views.iter().map(share).sum::<f64>()
         };
         (0..3).map(of_channel).sum()

@@ -35,8 +35,9 @@ pub(super) fn clean(
                 return lit;
             }
             let matte = [0, 1, 2].map(|c| {
-                let left = found.iter().map(|o| o.seen[c] - gloss.lobe_weight * o.mirror[gloss.lobe][c]);
-                median(left).unwrap_or(0.0).max(tuning.min_matte_share * f64::from(lit[c])) as f32
+                median(found.iter().map(|o| o.matte(&gloss, c)))
+                    .unwrap_or(0.0)
+                    .max(tuning.min_matte_share * f64::from(lit[c])) as f32
             });
             Vec3::from_array(matte)
         })

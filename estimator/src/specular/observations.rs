@@ -3,7 +3,7 @@
 use crate::association::Association;
 use crate::numerics::robust::median;
 use crate::numerics::sh;
-use crate::specular::gloss::LOBES;
+use crate::specular::gloss::{Gloss, LOBES};
 use crate::specular::mirror_rays::{MirrorRay, MirrorRays};
 use crate::specular::reflection::{BLURRED, Reflection};
 
@@ -23,6 +23,13 @@ pub(super) struct MirrorObservation {
     pub weight: f64,
     /// Index of the keyframe.
     pub keyframe: usize,
+}
+
+impl MirrorObservation {
+    /// What was seen in a channel, less this gloss.
+    pub fn matte(&self, gloss: &Gloss, channel: usize) -> f64 {
+        self.seen[channel] - gloss.lobe_weight * self.mirror[gloss.lobe][channel]
+    }
 }
 
 /// The observations of the surface with predicted reflections.

@@ -68,8 +68,8 @@ pub fn refit(
     let rays = MirrorRays::new(surface.mesh, surface.scene);
     let (found, gloss, exposure_change) = fit_and_expose(surface, &rays, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
-    let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
-        cleaned,
+    let decision = |without_gloss, with_gloss| Decision::Specular {
+        cleaned: glossy > 0,
         segments: surface.segments as u32,
         glossy: glossy as u32,
         exposure_change,
@@ -77,7 +77,7 @@ pub fn refit(
         with_gloss,
     };
     if glossy == 0 {
-        return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
+        return Refitted { found, gloss, decisions: vec![decision(None, Vec::new())] };
     }
     let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
@@ -86,7 +86,7 @@ pub fn refit(
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
-    let mut decisions = vec![decision(true, Some(without), errors)];
+    let mut decisions = vec![decision(Some(without), errors)];
     let best = refitter.more_bands(best, &mut decisions);
     fields.lit_color = best.lit_color;
     let albedo = &best.found.solution.albedo;

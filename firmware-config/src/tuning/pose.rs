@@ -17,7 +17,7 @@ section! {
         prior_px: f64 = 5.0, [1e-3..=1e6], "px", "";
         /// Standard deviation of tracked poses about the motion that all of them have in common. Source: measured on generated recordings.
         tracked_px: f64 = 1.0, [1e-3..=1e6], "px", "";
-        /// Smallest number of moved keyframes whose motions tell how far given poses are off; with fewer, prior_px alone holds them. Source: a median of fewer is uncertain.
+        /// Smallest number of moved keyframes whose motions tell how far given poses are off; with fewer, the prior alone holds them. Source: a median of fewer is uncertain.
         deviation_keyframes: u32 = 6, [2..=1000000], "", "";
         /// A keyframe whose motion is longer than this many robust deviations of all motions ran away: the prior holds it with that deviation from then on. Source: measured on the rendered scenes.
         runaway_deviations: f64 = 8.0, [0.1..=1e6], "σ", "";
