@@ -88,7 +88,7 @@ pub fn estimate_on(
     // §3.2 again: materials. §3.4: specular weights (Eq. 13), and the factorisation without gloss.
     let (mut answer, local_light, mut lit_with_gloss) = stages::materials_and_gloss(&mut prepared, solved, &mut run);
     stages::name_materials(&mut prepared, &mut answer, config);
-    let light = stages::light(&prepared, &answer, local_light.model, config);
+    let light = stages::light(&prepared, &mut answer, local_light.model, config);
     stages::sharpen(&mut prepared, &mut answer.found, &mut lit_with_gloss);
     stages::hand_over(scan, &mut prepared, &mut answer, &local_light, Some(&light), Milestone::Gloss, &mut run);
     let texture = stages::texture(&mut prepared, scan, &answer, &lit_with_gloss, &mut run);

@@ -275,7 +275,7 @@ pub enum Decision {
     LightChroma {
         /// Weight of that prior; 0 = each channel for itself.
         weight: f64,
-        /// Weights tried, strongest first, and RMS relative error on held-out vertices.
+        /// Weights tried, strongest first, and RMS relative change of the irradiance of held-out vertices.
         held_out: Vec<(f64, f64)>,
     },
     /// What keyframes saw beyond the scan, and the recovered light beside it.
@@ -299,7 +299,7 @@ pub enum Decision {
 pub struct BackgroundLikeness {
     /// Weight of the other half in the light; 0 = none, and where nothing was seen.
     pub weight: f64,
-    /// Weights tried, strongest first, and RMS relative error on held-out vertices.
+    /// Weights tried, strongest first, and RMS relative change of the irradiance of held-out vertices.
     pub held_out: Vec<(f64, f64)>,
     /// Keyframes of the half that is compared which saw something beyond the scan.
     pub keyframes: u32,

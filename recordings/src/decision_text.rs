@@ -265,7 +265,7 @@ impl Decision {
             Self::LightChroma { held_out, .. } => {
                 let tried: Vec<String> = held_out.iter().map(|(weight, e)| format!("{weight}: {e:.4}")).collect();
                 format!(
-                    "RMS relative error on vertices left out, by the weight of a radiance that the channels have in common: {}",
+                    "RMS relative change of the irradiance of vertices left out, by the weight of a radiance that the channels have in common: {}",
                     tried.join(", ")
                 )
             }
@@ -275,7 +275,7 @@ impl Decision {
                     String::new()
                 } else {
                     format!(
-                        "RMS relative error on vertices left out, by the weight of what was seen: {}; ",
+                        "RMS relative change of the irradiance of vertices left out, by the weight of what was seen: {}; ",
                         tried.join(", ")
                     )
                 };
@@ -642,8 +642,8 @@ mod tests {
         let drawn = |weight| Decision::LightChroma { weight, held_out: vec![(0.1, 0.21), (0.0, 0.2)] };
         assert_eq!(
             line(&drawn(0.1)),
-            "colour of the light | drawn together by 0.1 | RMS relative error on vertices left out, by the weight of a radiance \
-             that the channels have in common: 0.1: 0.2100, 0: 0.2000 | 2 solutions of the light | "
+            "colour of the light | drawn together by 0.1 | RMS relative change of the irradiance of vertices left out, by the weight of a \
+             radiance that the channels have in common: 0.1: 0.2100, 0: 0.2000 | 2 solutions of the light | "
         );
         assert!(line(&drawn(0.0)).contains("each channel for itself"));
     }
@@ -656,8 +656,8 @@ mod tests {
         };
         assert_eq!(
             seen(0.1, 812, Some(0.614)),
-            "background | light drawn to it by 0.1, which correlates 0.61 with what was left out | RMS relative error on vertices \
-             left out, by the weight of what was seen: 0.1: 0.2100, 0: 0.2000; 4 keyframes that were left out show 812 \
+            "background | light drawn to it by 0.1, which correlates 0.61 with what was left out | RMS relative change of the \
+             irradiance of vertices left out, by the weight of what was seen: 0.1: 0.2100, 0: 0.2000; 4 keyframes that were left out show 812 \
              directions beyond the scan | 4 pictures | "
         );
         assert_eq!(

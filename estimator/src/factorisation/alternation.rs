@@ -44,6 +44,12 @@ impl Prior {
         Self { weight: of(regularisation), center: of(1.0) }
     }
 
+    /// A radiance that was found. The sun is free.
+    pub fn found(radiance: &DVector<f64>, regularisation: f64) -> Self {
+        let weight = DVector::from_element(DIRECTIONS, regularisation).resize_vertically(radiance.len(), 0.0);
+        Self { weight, center: radiance.clone() }
+    }
+
     /// The same drawn to `center`, too, with a `weight` for each direction.
     pub fn drawn_to(mut self, center: &DVector<f64>, weight: impl Fn(usize) -> f64) -> Self {
         for d in 0..center.len() {

@@ -2,7 +2,8 @@
 //!
 //! Channels are solved one by one, and a few hundred directions have more freedom than the surfaces' irradiance shows: their spots
 //! come out green, pink and blue. Here the channels are drawn to the radiance that they have in common, and then to the radiance that
-//! keyframes saw beyond the scan, each as strongly as the colours of held-out surface allow. Albedos stay.
+//! keyframes saw beyond the scan, each as strongly as the irradiance of held-out surface allows: lit colours have errors of their own, in which
+//! a tint of all that is seen would drown. Albedos stay.
 
 use crate::factorisation::alternation::{Alternation, LightForm, Prior, mean_radiance};
 use crate::factorisation::problem::Observed;
@@ -17,15 +18,19 @@ use rayon::prelude::*;
 
 /// Weights of a prior that are tried, strongest first.
 const WEIGHTS: [f64; 9] = [10.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0];
-/// The RMS relative error on held-out vertices may rise by this share: a richer model must explain more than that.
-const MOST_RISE: f64 = 0.02;
+/// So much may each prior change the irradiance of held-out vertices, RMS relative to it. A tint of surfaces is seen sooner than that of the
+/// light beyond them.
+const MOST_OF_CHROMA: f64 = 0.01;
+const MOST_OF_BACKGROUND: f64 = 0.03;
+/// But no more than this share of what light leaves unexplained of held-out lit colours: plain surface tells it well.
+const MOST_OF_UNEXPLAINED: f64 = 0.2;
 
 /// The weight chosen, and the evidence.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chosen {
     /// Weight of the prior.
     pub weight: f64,
-    /// Weights tried, strongest first, and RMS relative error on held-out vertices.
+    /// Weights tried, strongest first, and RMS relative distance from the irradiance of held-out vertices.
     pub held_out: Vec<(f64, f64)>,
 }
 
@@ -38,25 +43,55 @@ pub struct Drawn {
     pub background: Option<Chosen>,
 }
 
-/// Gives the light of `solution` the strongest priors that held-out vertices allow. Changes coefficients and radiance only. `None`
-/// where the light is dark in a channel, and where no vertex is held out.
+/// The light of `solution` in at most so many bands, which lights a [`White`](crate::factorisation::White) surface as nearly the same as it
+/// can. Segments' albedos stay.
+#[must_use]
+pub fn narrowed(white: &Observed, solution: &Solution, bands: usize, tuning: &FactorisationTuning) -> Solution {
+    let cut = |rows: &[[f64; 3]]| {
+        let (harmonics, sun) = rows.split_at(solution.harmonics().len());
+        [&harmonics[..harmonics.len().min(bands * bands)], sun].concat()
+    };
+    let (light, standard_deviation) = (cut(&solution.light), cut(&solution.standard_deviation));
+    let mut narrowed = Solution { light, standard_deviation, ..solution.clone() };
+    let samples = samples(white, tuning);
+    let projection = Projection::of(white.transfer, narrowed.bands());
+    let fit = |c: usize| Fit::new(&Channel::new(white, &samples, c, tuning), solution, &projection);
+    // Where the light is dark in a channel, the other bands are left out as they are.
+    if let Some(fits) = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>() {
+        let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&f.found(), tuning)).collect();
+        set_light(&mut narrowed, &fits, &states, &projection);
+    }
+    narrowed
+}
+
+/// Takes over the light of the channels.
+fn set_light(solution: &mut Solution, fits: &[Fit], states: &[Alternation], projection: &Projection) {
+    let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(projection)).collect();
+    solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
+    solution.radiance = zip3(projection.directions(), &|c, i| fits[c].level * states[c].radiance[i]);
+}
+
+/// Gives the light of `solution` the strongest priors that held-out vertices of a [`White`](crate::factorisation::White) surface allow.
+/// Changes coefficients and radiance only. `None` where the light is dark in a channel, and where no vertex is held out.
 #[must_use]
 pub fn draw(
-    observed: &Observed,
+    white: &Observed,
     solution: &mut Solution,
     background: &SeenBackground,
     tuning: &FactorisationTuning,
 ) -> Option<Drawn> {
-    let samples = samples(observed, tuning);
-    let projection = Projection::of(observed.transfer, solution.bands());
-    let fit = |c: usize| Fit::new(&Channel::new(observed, &samples, c, tuning), solution, &projection);
+    let samples = samples(white, tuning);
+    let projection = Projection::of(white.transfer, solution.bands());
+    let fit = |c: usize| Fit::new(&Channel::new(white, &samples, c, tuning), solution, &projection);
     let fits = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>()?;
     if fits.iter().any(|f| f.held_out.iter().all(|s| s.square <= 0.0)) {
         return None;
     }
     let grey = fits.iter().map(|f| &f.state.radiance).sum::<DVector<f64>>() / 3.0;
-    let alike = |f: &Fit, weight: f64| Prior::uniform(&projection, f.regularisation).drawn_to(&grey, |_| weight);
-    let (chroma, mut states) = strongest(&fits, &projection, tuning, |c, weight| alike(&fits[c], weight))?;
+    let alike = |f: &Fit, weight: f64| f.found().drawn_to(&grey, |_| weight);
+    let most = |most: f64| most.min(MOST_OF_UNEXPLAINED * solution.held_out);
+    let (chroma, mut states) =
+        strongest(&fits, &projection, tuning, most(MOST_OF_CHROMA), |c, weight| alike(&fits[c], weight))?;
     let seen = if background.is_empty() {
         None
     } else {
@@ -65,21 +100,21 @@ pub fn draw(
         let towards = |c: usize, weight: f64| {
             alike(&fits[c], chroma.weight).drawn_to(&centers[c], |d| weight * background.share(d))
         };
-        let (chosen, drawn) = strongest(&fits, &projection, tuning, towards)?;
+        let (chosen, drawn) = strongest(&fits, &projection, tuning, most(MOST_OF_BACKGROUND), towards)?;
         states = drawn;
         Some(chosen)
     };
-    let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(&projection)).collect();
-    solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
-    solution.radiance = zip3(projection.directions(), &|c, i| fits[c].level * states[c].radiance[i]);
+    set_light(solution, &fits, &states, &projection);
     Some(Drawn { chroma, background: seen })
 }
 
-/// The strongest weight of a prior, for channel and weight, that held-out vertices allow, and what it makes of the channels.
+/// The strongest weight of a prior, for channel and weight, that changes the irradiance of held-out vertices by at most `most`, and what it
+/// makes of the channels.
 fn strongest(
     fits: &[Fit],
     projection: &Projection,
     tuning: &FactorisationTuning,
+    most: f64,
     prior: impl Fn(usize, f64) -> Prior + Sync,
 ) -> Option<(Chosen, Vec<Alternation>)> {
     let trial = |weight: f64| {
@@ -89,7 +124,7 @@ fn strongest(
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
     let mut tried: Vec<_> = WEIGHTS.into_par_iter().map(&trial).collect();
-    let most = (1.0 + MOST_RISE) * (1.0 + MOST_RISE) * tried[WEIGHTS.len() - 1].1;
+    let most = tried[WEIGHTS.len() - 1].1 + most * most;
     let first = tried.iter().position(|t| t.1 <= most)?;
     // A weight of the grid would jump where an error crosses the limit.
     if let Some(stronger) = first.checked_sub(1) {
@@ -131,14 +166,19 @@ impl<'a> Fit<'a> {
             return None;
         }
         state.radiance /= level;
-        state.albedo.iter_mut().for_each(|a| *a *= level);
+        state.albedo = vec![level];
         let folds =
             channel.folds(&channel.robust_weights(&channel.predict(&state, projection), &state.albedo), projection);
         let form = LightForm::new(&folds.fitted, &state.albedo, projection);
         Some(Self { state, form, held_out: folds.held_out, regularisation: channel.regularisation(solution), level })
     }
 
-    /// The same albedos with another prior.
+    /// The prior that holds what was found.
+    fn found(&self) -> Prior {
+        Prior::found(&self.state.radiance, self.regularisation)
+    }
+
+    /// The same level with another prior.
     fn towards(&self, prior: &Prior, tuning: &FactorisationTuning) -> Alternation {
         let mut state = self.state.clone();
         state.light_alone(&self.form, prior, tuning);
@@ -191,7 +231,9 @@ mod tests {
             libm::sqrt(off)
         };
         let before = apart(&solution);
-        draw(&observed, &mut solution, &SeenBackground::default(), &tuning).expect("light in every channel");
+        let irradiance = transfer.irradiance(&solution.light);
+        let white = Observed { lit_color: &irradiance, ..observed };
+        draw(&white, &mut solution, &SeenBackground::default(), &tuning).expect("light in every channel");
         assert_eq!(solution.albedo, albedo);
         let irradiance = transfer.irradiance(&solution.light);
         let bottom = (0..n).min_by(|a, b| normals[*a].z.total_cmp(&normals[*b].z)).expect("a ball");
@@ -233,7 +275,9 @@ mod tests {
         };
         let level = solution.radiance.iter().map(|r| r[0]).sum::<f64>() / solution.radiance.len() as f64;
         let low = Vec3::new(3.0, 1.0, 1.0) * level as f32;
-        let drawn = draw(&observed, &mut solution, &seen(low), &tuning).expect("light in every channel");
+        let irradiance = transfer.irradiance(&solution.light);
+        let white = Observed { lit_color: &irradiance, ..observed };
+        let drawn = draw(&white, &mut solution, &seen(low), &tuning).expect("light in every channel");
         assert!(drawn.background.expect("something was seen").weight > 0.0);
         let light = sh::radiance(&solution.light, glam::DVec3::NEG_Z).map(|c| c / level);
         assert!(light[0] > 2.0 && light[1] < 1.6, "{light:?} where 3, 1 and 1 were seen");

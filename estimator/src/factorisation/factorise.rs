@@ -1,6 +1,6 @@
 //! Solver and transfer in turn.
 
-use crate::factorisation::albedo::{self, Detail, Evidence};
+use crate::factorisation::albedo::{self, Detail, Evidence, plausible};
 use crate::factorisation::problem::{Colors, FactorisationOptions, Observed};
 use crate::factorisation::solution::{DIRECTIONS, Solution};
 use crate::factorisation::{paper_solver, robust_solver, scale};
@@ -11,6 +11,9 @@ use firmware_config::tuning::FactorisationTuning;
 use glam::Vec3;
 use std::borrow::Cow;
 use std::sync::Arc;
+
+/// Where an exchange of the light changes irradiance by a larger factor, neither light is told.
+const MOST_EXCHANGED: f32 = 2.0;
 
 /// The answer of the factorisation.
 #[derive(Debug)]
@@ -56,6 +59,20 @@ impl Factorised {
             albedo: self.detail.albedo.clone(),
             bounced: self.transfer.bounced.clone(),
         }
+    }
+
+    /// Exchanges light and segment albedos. Paint shows what it showed: as far as a vertex differs from its segment by paint, its albedo makes up
+    /// for the change of its irradiance.
+    pub fn exchange(&mut self, solution: Solution) {
+        let irradiance = self.transfer.irradiance(&solution.light);
+        let changes = self.irradiance.iter().zip(&irradiance).zip(&self.detail.painted);
+        for (albedo, ((before, after), painted)) in self.detail.albedo.iter_mut().zip(changes) {
+            if before.min_element() > 0.0 && after.min_element() > 0.0 {
+                let change = (*before / *after).clamp(Vec3::splat(1.0 / MOST_EXCHANGED), Vec3::splat(MOST_EXCHANGED));
+                *albedo = plausible(*albedo * change.map(|x| libm::powf(x, *painted)));
+            }
+        }
+        (self.solution, self.irradiance) = (solution, irradiance);
     }
 
     /// The light in the bands that mirrors show, the sun with the rest: `[k][channel]`.
@@ -104,14 +121,28 @@ pub fn factorise(
     solve(transfer, colors, options, before.as_ref())
 }
 
-/// Light that explains the colours with fewer bands than `found` has.
-#[must_use]
-pub fn narrowed(found: &Factorised, colors: &Colors, bands: usize, tuning: &FactorisationTuning) -> Solution {
-    let observed = colors.under(&found.transfer);
-    let mut solution = robust_solver::solve(&observed, bands, Some(&found.solution), tuning);
-    let irradiance = found.transfer.irradiance(&solution.light);
-    scale::fix_like(&mut solution, &irradiance, &found.irradiance, colors);
-    solution
+/// The irradiance that was found, as the lit colours of one white surface: what another light of the same answer is to show.
+#[derive(Debug)]
+pub struct White {
+    /// `[vertex]`.
+    segment: Vec<u32>,
+    /// `[vertex]`.
+    clipped: Vec<bool>,
+}
+
+impl White {
+    /// For so many vertices.
+    #[must_use]
+    pub fn new(vertices: usize) -> Self {
+        Self { segment: vec![0; vertices], clipped: vec![false; vertices] }
+    }
+
+    /// Under the transfer of `found`, with the weights of `colors`.
+    #[must_use]
+    pub fn under<'a>(&'a self, found: &'a Factorised, colors: &Colors<'a>) -> Observed<'a> {
+        let Self { segment, clipped } = self;
+        Observed { lit_color: &found.irradiance, segment, segments: 1, clipped, ..colors.under(&found.transfer) }
+    }
 }
 
 /// A solution under a first transfer, as a start for [`factorise`].
@@ -125,7 +156,7 @@ pub fn start_from(transfer: Transfer, colors: &Colors, mut solution: Solution, t
 /// bounces like the brightest.
 fn bounce(transfer: &mut Transfer, albedo: &[Vec3], options: &FactorisationOptions) {
     if options.gi {
-        let albedo: &[Vec3] = &albedo.iter().copied().map(albedo::plausible).collect::<Vec<_>>();
+        let albedo: &[Vec3] = &albedo.iter().copied().map(plausible).collect::<Vec<_>>();
         transfer.bounced = Some(match transfer.bounced.take() {
             Some(before) if options.bounces == 0 => transfer::bounce_on(&transfer.traced, albedo, before),
             _ => transfer::bounce_scaled(&transfer.traced, albedo, options.bounces),
@@ -176,7 +207,89 @@ fn normalised(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::factorisation::drawn_light;
     use recordings::types::Mesh;
+
+    /// A ball in light of four bands. One half is plain, the other has paint in stripes.
+    fn striped_ball(tuning: &FactorisationTuning) -> (Factorised, Vec<Vec3>) {
+        let normals: Vec<Vec3> = crate::numerics::sh::even_directions(2000).iter().map(|d| d.as_vec3()).collect();
+        let mesh = Mesh { positions: normals.clone(), normals: normals.clone(), ..Mesh::default() };
+        let transfer = Transfer { traced: Arc::new(transfer::unoccluded(&mesh, 4)), bounced: None };
+        let light: Vec<[f64; 3]> =
+            (0..16).map(|k| [[3.0, 0.3, 0.8, -0.4, 0.2, 0.3, -0.2, 0.1, 0.2][k.min(8)]; 3]).collect();
+        let segment: Vec<u32> = normals.iter().map(|n| u32::from(n.x > 0.0)).collect();
+        let paint = |n: &Vec3| if n.x > 0.0 && (20.0 * n.y).sin() > 0.0 { 0.3 } else { 0.6 };
+        let irradiance = transfer.irradiance(&light);
+        let lit: Vec<Vec3> = irradiance.iter().zip(&normals).map(|(e, n)| *e * paint(n)).collect();
+        let (weight, clipped) = (vec![1.0; lit.len()], vec![false; lit.len()]);
+        let colors = Colors {
+            lit_color: &lit,
+            lit_weight: &weight,
+            reliability: &[],
+            clipped: &clipped,
+            segment: &segment,
+            segments: 2,
+            known: None,
+        };
+        let options = FactorisationOptions {
+            gi: false,
+            bands: 4,
+            max_bands: 4,
+            bounces: 0,
+            solver: SolverChoice::Robust,
+            tuning,
+        };
+        let traced = Arc::clone(&transfer.traced);
+        (factorise(traced, &colors, &options, None), lit)
+    }
+
+    /// RMS relative distance of albedo × irradiance from the lit colours, where there is paint.
+    fn off(found: &Factorised, lit: &[Vec3]) -> f64 {
+        let shown = found.detail.albedo.iter().zip(&found.irradiance).map(|(a, e)| *a * *e);
+        let painted = shown.zip(lit).zip(&found.detail.painted).filter(|(_, painted)| **painted > 0.5);
+        let squares: Vec<f64> = painted.map(|((s, f), _)| f64::from(s.x / f.x - 1.0).powi(2)).collect();
+        assert!(squares.len() > 500, "{} vertices with paint", squares.len());
+        f64::sqrt(squares.iter().sum::<f64>() / squares.len() as f64)
+    }
+
+    #[test]
+    fn another_light_leaves_what_paint_shows_and_what_plain_surface_is() {
+        let tuning = FactorisationTuning::default();
+        let (mut found, lit) = striped_ball(&tuning);
+        let (before, albedo) = (off(&found, &lit), found.detail.albedo.clone());
+        let mut tinted = found.solution.clone();
+        tinted.light.iter_mut().for_each(|l| l[0] *= 1.2);
+        found.exchange(tinted);
+        assert!(off(&found, &lit) < before + 0.01, "{} instead of {before}", off(&found, &lit));
+        for (i, painted) in found.detail.painted.iter().enumerate().filter(|(_, painted)| **painted < 0.05) {
+            let change = found.detail.albedo[i].x / albedo[i].x;
+            assert!((change - 1.0).abs() < 0.01, "{change} where the share of paint is {painted}");
+        }
+    }
+
+    #[test]
+    fn fewer_bands_light_the_surface_like_all() {
+        let tuning = FactorisationTuning::default();
+        let (found, lit) = striped_ball(&tuning);
+        let (weight, clipped, segment) = (vec![1.0; lit.len()], vec![false; lit.len()], vec![0; lit.len()]);
+        let colors = Colors {
+            lit_color: &lit,
+            lit_weight: &weight,
+            reliability: &[],
+            clipped: &clipped,
+            segment: &segment,
+            segments: 1,
+            known: None,
+        };
+        // A cosine hardly has a fourth band.
+        let white = White::new(lit.len());
+        let fewer = drawn_light::narrowed(&white.under(&found, &colors), &found.solution, 3, &tuning);
+        assert_eq!((fewer.light.len(), &fewer.albedo), (9, &found.solution.albedo));
+        let irradiance = found.transfer.irradiance(&fewer.light);
+        for (before, after) in found.irradiance.iter().zip(irradiance) {
+            assert!((after.x / before.x - 1.0).abs() < 0.02, "{after} instead of {before}");
+        }
+    }
 
     /// White specks on a brown ball: they hold less surface than what fixes the scale while solving.
     #[test]

@@ -21,7 +21,7 @@ mod seen_background;
 mod solution;
 mod statistics;
 
-pub use factorise::{Factorised, Start, factorise, narrowed, start_from};
+pub use factorise::{Factorised, Start, White, factorise, start_from};
 pub use problem::{Colors, FactorisationOptions, KnownAlbedo, Observed};
 pub use projection::Projection;
 pub use seen_background::SeenBackground;

@@ -66,17 +66,6 @@ pub(super) fn normalise(solution: &mut Solution, colors: &Colors, tuning: &Facto
     factor
 }
 
-/// Scales light and segment albedos so that surfaces get `irradiance` (over π, `[vertex]`) instead of `own`.
-pub fn fix_like(solution: &mut Solution, own: &[Vec3], irradiance: &[Vec3], colors: &Colors) {
-    let ratio = [0, 1, 2].map(|c| {
-        let seen =
-            (0..own.len()).filter(|i| colors.lit_weight[*i] > 0.0 && own[*i][c] > 0.0 && irradiance[*i][c] > 0.0);
-        median(seen.map(|i| f64::from(own[i][c] / irradiance[i][c]))).unwrap_or(1.0)
-    });
-    let factor = DVec3::from_array(ratio);
-    solution.scale(factor, factor.recip());
-}
-
 /// Logarithm of the factor that gives a surface its known albedo in the median. `None` where it has none yet.
 fn factor_of(known: &KnownAlbedo, detail: &Detail) -> Option<[f64; 3]> {
     let mut log_factor = [0.0; 3];

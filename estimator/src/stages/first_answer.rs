@@ -56,7 +56,7 @@ fn make(scan: &Scan, effort: FirstAnswer, config: &EstimatorConfig, options: &Op
         keyframes: scan.keyframes.len().div_ceil(effort.keyframe_stride) as u32,
     });
     let local_light = LocalLight::default();
-    let light = light(&prepared, &answer, local_light.model, &config);
+    let light = light(&prepared, &mut answer, local_light.model, &config);
     let (estimate, _) = result(scan, &mut prepared, answer, local_light, light, &own);
     progress.answer(&estimate);
 }

@@ -35,7 +35,7 @@ pub fn hand_over(
     if after == Milestone::Albedo && local_light.model == LightModel::Distant {
         fix_scale(prepared, &mut own, run.config);
     }
-    let light = known.cloned().unwrap_or_else(|| light(prepared, &own, local_light.model, run.config));
+    let light = known.cloned().unwrap_or_else(|| light(prepared, &mut own, local_light.model, run.config));
     let (mut estimate, transfer) = result(scan, prepared, own, local_light.clone(), light, run);
     prepared.decisions.truncate(decisions);
     estimate.cuts.push(Cut::EndOfBudget { after });

@@ -1,7 +1,7 @@
 //! The parts of the result.
 
 use crate::factorisation::drawn_light::Drawn;
-use crate::factorisation::{Factorised, directions, distance_check, drawn_light, narrowed};
+use crate::factorisation::{Factorised, White, directions, distance_check, drawn_light};
 use crate::model_selection;
 use crate::numerics::sh;
 use crate::specular::Gloss;
@@ -82,22 +82,25 @@ pub struct FoundLight {
     sun: Option<Lamp>,
 }
 
-/// The light of a result. With gloss it has no more than the bands that mirrors show ([`sh::MIRRORED_BANDS`]).
+/// The light of a result, which `answer` has from then on. With gloss it has no more than the bands that mirrors show
+/// ([`sh::MIRRORED_BANDS`]).
 #[must_use]
-pub fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &EstimatorConfig) -> FoundLight {
+pub fn light(prepared: &Prepared, answer: &mut Answer, model: LightModel, config: &EstimatorConfig) -> FoundLight {
     let Answer { found, gloss } = answer;
     let (colors, tuning) = (prepared.colors(), &config.tuning.factorisation);
     let is_mirrored = gloss.iter().any(|g| g.significant);
-    let mut solution = if is_mirrored && found.solution.bands() > sh::MIRRORED_BANDS {
-        narrowed(found, &colors, sh::MIRRORED_BANDS, tuning)
+    let white = White::new(found.irradiance.len());
+    let white = white.under(found, &colors);
+    let is_narrowed = is_mirrored && found.solution.bands() > sh::MIRRORED_BANDS;
+    let mut solution = if is_narrowed {
+        drawn_light::narrowed(&white, &found.solution, sh::MIRRORED_BANDS, tuning)
     } else {
         found.solution.clone()
     };
     // Eq. (9) holds for these colours where all light is distant.
     let is_told = model == LightModel::Distant && config.solver == SolverChoice::Robust;
     let seen = prepared.background.evidence();
-    let drawn =
-        is_told.then(|| drawn_light::draw(&colors.under(&found.transfer), &mut solution, &seen, tuning)).flatten();
+    let drawn = is_told.then(|| drawn_light::draw(&white, &mut solution, &seen, tuning)).flatten();
     let harmonics = solution.harmonics().len();
     let suns = found.transfer.traced.sun.as_ref().zip(solution.sun());
     let sun =
@@ -109,6 +112,9 @@ pub fn light(prepared: &Prepared, answer: &Answer, model: LightModel, config: &E
         radiance: solution.radiance.iter().take(directions.len()).map(|r| r.map(|x| x as f32)).collect(),
         directions,
     };
+    if is_narrowed || drawn.is_some() {
+        found.exchange(solution);
+    }
     FoundLight { light, drawn, sun }
 }
 
