@@ -23,7 +23,7 @@ const WEIGHTS: [f64; 9] = [10.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0];
 const MOST_OF_CHROMA: f64 = 0.01;
 const MOST_OF_BACKGROUND: f64 = 0.03;
 /// But no more than this share of what light leaves unexplained of held-out lit colours: plain surface tells it well.
-const MOST_OF_UNEXPLAINED: f64 = 0.2;
+const MOST_OF_UNEXPLAINED: f64 = 0.1;
 
 /// The weight chosen, and the evidence.
 #[derive(Debug, Clone, PartialEq)]
