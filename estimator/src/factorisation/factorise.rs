@@ -218,7 +218,7 @@ mod tests {
         let light: Vec<[f64; 3]> =
             (0..16).map(|k| [[3.0, 0.3, 0.8, -0.4, 0.2, 0.3, -0.2, 0.1, 0.2][k.min(8)]; 3]).collect();
         let segment: Vec<u32> = normals.iter().map(|n| u32::from(n.x > 0.0)).collect();
-        let paint = |n: &Vec3| if n.x > 0.0 && (20.0 * n.y).sin() > 0.0 { 0.3 } else { 0.6 };
+        let paint = |n: &Vec3| if n.x > 0.0 && libm::sinf(20.0 * n.y) > 0.0 { 0.3 } else { 0.6 };
         let irradiance = transfer.irradiance(&light);
         let lit: Vec<Vec3> = irradiance.iter().zip(&normals).map(|(e, n)| *e * paint(n)).collect();
         let (weight, clipped) = (vec![1.0; lit.len()], vec![false; lit.len()]);

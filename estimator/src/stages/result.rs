@@ -29,8 +29,7 @@ pub fn result(
     let mut decisions = prepared.decisions.clone();
     decisions.push(transfer_decision(&answer.found, run.config));
     let one_keyframe = (scan.keyframes.len() < 2).then_some(Warning::OneKeyframe);
-    let unseen_light = unseen_light(&answer.found, run.config);
-    let FoundLight { light, drawn, sun } = light;
+    let FoundLight { light, drawn, sun, unseen } = light;
     let sunny = |lamp| LocalLight { model: LightModel::Lamps, lamps: vec![lamp], ..LocalLight::default() };
     let local_light = sun.map_or(local_light, sunny);
     let (chroma, background) = drawn.map_or((None, None), |d| (Some(d.chroma), d.background));
@@ -51,7 +50,7 @@ pub fn result(
         albedo_scale_rule: scale_rule(&decisions),
         decisions,
         cuts: run.plan.cuts(),
-        warnings: prepared.warnings.iter().cloned().chain(one_keyframe).chain(unseen_light).collect(),
+        warnings: prepared.warnings.iter().cloned().chain(one_keyframe).chain(unseen).collect(),
         witnesses: Vec::new(),
         local_light,
         texture: None,
@@ -80,6 +79,8 @@ pub struct FoundLight {
     drawn: Option<Drawn>,
     /// The lamp at infinity beside it.
     sun: Option<Lamp>,
+    /// A warning where surfaces do not tell most of it.
+    unseen: Option<Warning>,
 }
 
 /// The light of a result, which `answer` has from then on. With gloss it has no more than the bands that mirrors show
@@ -112,10 +113,11 @@ pub fn light(prepared: &Prepared, answer: &mut Answer, model: LightModel, config
         radiance: solution.radiance.iter().take(directions.len()).map(|r| r.map(|x| x as f32)).collect(),
         directions,
     };
+    let unseen = unseen_light(found, config);
     if is_narrowed || drawn.is_some() {
         found.exchange(solution);
     }
-    FoundLight { light, drawn, sun }
+    FoundLight { light, drawn, sun, unseen }
 }
 
 /// The segments. `segment` is `[vertex]`, `gloss` `[segment]`.
