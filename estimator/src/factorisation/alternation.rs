@@ -38,16 +38,16 @@ pub(super) struct Prior {
 }
 
 impl Prior {
-    /// Uniform radiance. The sun is drawn to nothing.
+    /// Uniform radiance. The sun is free.
     pub fn uniform(projection: &Projection, regularisation: f64) -> Self {
-        let of = |value: f64| DVector::from_element(DIRECTIONS, value).resize_vertically(projection.directions(), 0.0);
-        Self { weight: of(regularisation), center: of(1.0) }
+        let even = DVector::from_element(DIRECTIONS, 1.0).resize_vertically(projection.directions(), 0.0);
+        Self::found(even, regularisation)
     }
 
     /// A radiance that was found. The sun is free.
-    pub fn found(radiance: &DVector<f64>, regularisation: f64) -> Self {
+    pub fn found(radiance: DVector<f64>, regularisation: f64) -> Self {
         let weight = DVector::from_element(DIRECTIONS, regularisation).resize_vertically(radiance.len(), 0.0);
-        Self { weight, center: radiance.clone() }
+        Self { weight, center: radiance }
     }
 
     /// The same drawn to `center`, too, with a `weight` for each direction.

@@ -53,15 +53,25 @@ pub fn narrowed(white: &Observed, solution: &Solution, bands: usize, tuning: &Fa
     };
     let (light, standard_deviation) = (cut(&solution.light), cut(&solution.standard_deviation));
     let mut narrowed = Solution { light, standard_deviation, ..solution.clone() };
-    let samples = samples(white, tuning);
     let projection = Projection::of(white.transfer, narrowed.bands());
-    let fit = |c: usize| Fit::new(&Channel::new(white, &samples, c, tuning), solution, &projection);
     // Where the light is dark in a channel, the other bands are left out as they are.
-    if let Some(fits) = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>() {
+    if let Some(fits) = channels(white, solution, &projection, tuning) {
         let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&f.found(), tuning)).collect();
         set_light(&mut narrowed, &fits, &states, &projection);
     }
     narrowed
+}
+
+/// The light of `solution` on a white surface, channel by channel; `None` where it is dark in one.
+fn channels<'a>(
+    white: &Observed,
+    solution: &Solution,
+    projection: &'a Projection,
+    tuning: &FactorisationTuning,
+) -> Option<Vec<Fit<'a>>> {
+    let samples = samples(white, tuning);
+    let fit = |c: usize| Fit::new(&Channel::new(white, &samples, c, tuning), solution, projection);
+    [0, 1, 2].into_par_iter().map(fit).collect()
 }
 
 /// Takes over the light of the channels.
@@ -80,10 +90,8 @@ pub fn draw(
     background: &SeenBackground,
     tuning: &FactorisationTuning,
 ) -> Option<Drawn> {
-    let samples = samples(white, tuning);
     let projection = Projection::of(white.transfer, solution.bands());
-    let fit = |c: usize| Fit::new(&Channel::new(white, &samples, c, tuning), solution, &projection);
-    let fits = [0, 1, 2].into_par_iter().map(fit).collect::<Option<Vec<Fit>>>()?;
+    let fits = channels(white, solution, &projection, tuning)?;
     if fits.iter().any(|f| f.held_out.iter().all(|s| s.square <= 0.0)) {
         return None;
     }
@@ -175,7 +183,7 @@ impl<'a> Fit<'a> {
 
     /// The prior that holds what was found.
     fn found(&self) -> Prior {
-        Prior::found(&self.state.radiance, self.regularisation)
+        Prior::found(self.state.radiance.clone(), self.regularisation)
     }
 
     /// The same level with another prior.

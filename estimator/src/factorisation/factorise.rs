@@ -61,7 +61,7 @@ impl Factorised {
         }
     }
 
-    /// Exchanges light and segment albedos. Paint shows what it showed: as far as a vertex differs from its segment by paint, its albedo makes up
+    /// Exchanges the light. Paint shows what it showed: as far as a vertex differs from its segment by paint, its albedo makes up
     /// for the change of its irradiance.
     pub fn exchange(&mut self, solution: Solution) {
         let irradiance = self.transfer.irradiance(&solution.light);
@@ -210,37 +210,49 @@ mod tests {
     use crate::factorisation::drawn_light;
     use recordings::types::Mesh;
 
+    /// A surface that is seen everywhere, with its lit colours.
+    struct Seen {
+        lit: Vec<Vec3>,
+        weight: Vec<f32>,
+        clipped: Vec<bool>,
+        segment: Vec<u32>,
+    }
+
+    impl Seen {
+        fn new(lit: Vec<Vec3>, segment: Vec<u32>) -> Self {
+            Self { weight: vec![1.0; lit.len()], clipped: vec![false; lit.len()], lit, segment }
+        }
+
+        /// In two segments.
+        fn colors(&self) -> Colors<'_> {
+            Colors {
+                lit_color: &self.lit,
+                lit_weight: &self.weight,
+                reliability: &[],
+                clipped: &self.clipped,
+                segment: &self.segment,
+                segments: 2,
+                known: None,
+            }
+        }
+    }
+
+    /// Without interreflection.
+    fn options(bands: usize, tuning: &FactorisationTuning) -> FactorisationOptions<'_> {
+        FactorisationOptions { gi: false, bands, max_bands: bands, bounces: 0, solver: SolverChoice::Robust, tuning }
+    }
+
     /// A ball in light of four bands. One half is plain, the other has paint in stripes.
-    fn striped_ball(tuning: &FactorisationTuning) -> (Factorised, Vec<Vec3>) {
-        let normals: Vec<Vec3> = crate::numerics::sh::even_directions(2000).iter().map(|d| d.as_vec3()).collect();
+    fn striped_ball(tuning: &FactorisationTuning) -> (Factorised, Seen) {
+        let normals: Vec<Vec3> = sh::even_directions(2000).iter().map(|d| d.as_vec3()).collect();
         let mesh = Mesh { positions: normals.clone(), normals: normals.clone(), ..Mesh::default() };
         let transfer = Transfer { traced: Arc::new(transfer::unoccluded(&mesh, 4)), bounced: None };
         let light: Vec<[f64; 3]> =
             (0..16).map(|k| [[3.0, 0.3, 0.8, -0.4, 0.2, 0.3, -0.2, 0.1, 0.2][k.min(8)]; 3]).collect();
-        let segment: Vec<u32> = normals.iter().map(|n| u32::from(n.x > 0.0)).collect();
         let paint = |n: &Vec3| if n.x > 0.0 && libm::sinf(20.0 * n.y) > 0.0 { 0.3 } else { 0.6 };
-        let irradiance = transfer.irradiance(&light);
-        let lit: Vec<Vec3> = irradiance.iter().zip(&normals).map(|(e, n)| *e * paint(n)).collect();
-        let (weight, clipped) = (vec![1.0; lit.len()], vec![false; lit.len()]);
-        let colors = Colors {
-            lit_color: &lit,
-            lit_weight: &weight,
-            reliability: &[],
-            clipped: &clipped,
-            segment: &segment,
-            segments: 2,
-            known: None,
-        };
-        let options = FactorisationOptions {
-            gi: false,
-            bands: 4,
-            max_bands: 4,
-            bounces: 0,
-            solver: SolverChoice::Robust,
-            tuning,
-        };
-        let traced = Arc::clone(&transfer.traced);
-        (factorise(traced, &colors, &options, None), lit)
+        let lit = transfer.irradiance(&light).iter().zip(&normals).map(|(e, n)| *e * paint(n)).collect();
+        let seen = Seen::new(lit, normals.iter().map(|n| u32::from(n.x > 0.0)).collect());
+        (factorise(transfer.traced, &seen.colors(), &options(4, tuning), None), seen)
     }
 
     /// RMS relative distance of albedo × irradiance from the lit colours, where there is paint.
@@ -255,7 +267,7 @@ mod tests {
     #[test]
     fn another_light_leaves_what_paint_shows_and_what_plain_surface_is() {
         let tuning = FactorisationTuning::default();
-        let (mut found, lit) = striped_ball(&tuning);
+        let (mut found, Seen { lit, .. }) = striped_ball(&tuning);
         let (before, albedo) = (off(&found, &lit), found.detail.albedo.clone());
         let mut tinted = found.solution.clone();
         tinted.light.iter_mut().for_each(|l| l[0] *= 1.2);
@@ -270,20 +282,10 @@ mod tests {
     #[test]
     fn fewer_bands_light_the_surface_like_all() {
         let tuning = FactorisationTuning::default();
-        let (found, lit) = striped_ball(&tuning);
-        let (weight, clipped, segment) = (vec![1.0; lit.len()], vec![false; lit.len()], vec![0; lit.len()]);
-        let colors = Colors {
-            lit_color: &lit,
-            lit_weight: &weight,
-            reliability: &[],
-            clipped: &clipped,
-            segment: &segment,
-            segments: 1,
-            known: None,
-        };
+        let (found, seen) = striped_ball(&tuning);
         // A cosine hardly has a fourth band.
-        let white = White::new(lit.len());
-        let fewer = drawn_light::narrowed(&white.under(&found, &colors), &found.solution, 3, &tuning);
+        let white = White::new(seen.lit.len());
+        let fewer = drawn_light::narrowed(&white.under(&found, &seen.colors()), &found.solution, 3, &tuning);
         assert_eq!((fewer.light.len(), &fewer.albedo), (9, &found.solution.albedo));
         let irradiance = found.transfer.irradiance(&fewer.light);
         for (before, after) in found.irradiance.iter().zip(irradiance) {
@@ -299,27 +301,10 @@ mod tests {
         let mesh = Mesh { positions: normals.clone(), normals, ..Mesh::default() };
         let segment: Vec<u32> = (0..mesh.positions.len()).map(|i| u32::from(i % 80 == 7)).collect();
         let lit_color: Vec<Vec3> = segment.iter().map(|s| albedo[*s as usize] * Vec3::new(1.0, 0.9, 0.8)).collect();
-        let weight = vec![1.0; segment.len()];
-        let clipped = vec![false; segment.len()];
-        let colors = Colors {
-            lit_color: &lit_color,
-            lit_weight: &weight,
-            reliability: &[],
-            clipped: &clipped,
-            segment: &segment,
-            segments: 2,
-            known: None,
-        };
+        let seen = Seen::new(lit_color, segment);
         let tuning = FactorisationTuning::default();
-        let options = FactorisationOptions {
-            gi: false,
-            bands: 2,
-            max_bands: 2,
-            bounces: 0,
-            solver: SolverChoice::Robust,
-            tuning: &tuning,
-        };
-        let found = factorise(Arc::new(transfer::unoccluded(&mesh, 2)), &colors, &options, None);
+        let traced = Arc::new(transfer::unoccluded(&mesh, 2));
+        let found = factorise(traced, &seen.colors(), &options(2, &tuning), None);
         let ratio = found.detail.albedo[7] / found.detail.albedo[0];
         let wrong = (ratio / (albedo[1] / albedo[0]) - 1.0).abs().max_element();
         assert!(wrong < 0.05, "{ratio} instead of {}", albedo[1] / albedo[0]);

@@ -113,6 +113,7 @@ pub fn light(prepared: &Prepared, answer: &mut Answer, model: LightModel, config
         radiance: solution.radiance.iter().take(directions.len()).map(|r| r.map(|x| x as f32)).collect(),
         directions,
     };
+    // Of the light that was solved: its deviations are none of what it is drawn to.
     let unseen = unseen_light(found, config);
     if is_narrowed || drawn.is_some() {
         found.exchange(solution);
