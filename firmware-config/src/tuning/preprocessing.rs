@@ -5,8 +5,8 @@ use crate::settings::section;
 section! {
     /// Depth preprocessing: grazing and flying pixels, tracking grid.
     PreprocessingTuning = "preprocessing" {
-        /// Standard deviations of depth added to the slope limit `fusion.max_slope`. Source: 3 σ.
-        slope_sigmas: f64 = 3.0, [0.0..=100.0], "σ", "";
+        /// Standard deviations of depth added to what `fusion.max_slope` lets two neighbours differ by. Source: noise of neighbours is alike.
+        slope_sigmas: f64 = 1.5, [0.0..=100.0], "σ", "";
         /// Depths of a grid cell within this many standard deviations of its centre lie on the same surface. Source: 3 σ.
         cell_sigmas: f64 = 3.0, [0.0..=100.0], "σ", "";
         /// Grid neighbours farther apart than this share of their depth lie on different surfaces. Source: tuned by hand on recordings.

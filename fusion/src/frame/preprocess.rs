@@ -166,7 +166,7 @@ impl Frame {
             }
         }
         let (width, height) = (rig.depth.width, rig.depth.height);
-        let slope = 2.0 * config.max_slope as f32 / rig.depth.fx.min(rig.depth.fy);
+        let slope = config.max_slope as f32 / rig.depth.fx.min(rig.depth.fy);
         let sigmas = config.tuning.preprocessing.slope_sigmas as f32;
         let (raw, out) = (&self.raw_depth, &mut self.depth);
         dispatch(Isa::detect(), RejectSteep { raw, out, width, height, slope, sigmas, noise: rig.noise });

@@ -15,6 +15,10 @@ const SLICE: usize = EDGE * EDGE;
 /// The largest stored weight.
 const MAX_STORED_WEIGHT: f32 = 65535.0;
 
+/// How far behind the surface a reading on the rim of what was seen counts, in truncation distances: where the next ray passes
+/// by, all of it would become a wall behind the rim.
+const RIM_BEHIND: f32 = 0.75;
+
 /// Adding this to a small f32 leaves its nearest integer in the low bits.
 const MAGIC: f32 = 12_582_912.0;
 const MAGIC_BITS: i32 = 0x4B40_0000;
@@ -24,7 +28,7 @@ const INDEX_MAGIC_BITS: u32 = 0x4B00_0000;
 
 /// What the update of a block needs and all blocks of a frame share.
 pub struct Kernel<'a> {
-    /// Depth with a border of one pixel without depth, row-major.
+    /// Depth with a border of one pixel without depth, row-major; negative on rims.
     depth: &'a [f32],
     /// Length of a row, pixels.
     row: f32,
@@ -73,12 +77,26 @@ fn round_to_int(x: f32) -> i32 {
     (x + MAGIC).to_bits() as i32 - MAGIC_BITS
 }
 
-/// Copies a depth image and adds a border of one pixel without depth.
+/// Copies a depth image and adds a border of one pixel without depth. A pixel beside one without depth is negative: it is on
+/// the rim of what was seen.
 pub fn add_border(camera: &Pinhole, depth: &[f32], bordered: &mut Vec<f32>) {
-    let row = camera.width + 2;
-    bordered.resize(row * (camera.height + 2), 0.0);
-    for (to, from) in bordered.chunks_exact_mut(row).skip(1).zip(depth.chunks_exact(camera.width)) {
-        to[1..=camera.width].copy_from_slice(from);
+    let (width, height) = (camera.width, camera.height);
+    let row = width + 2;
+    bordered.resize(row * (height + 2), 0.0);
+    for (y, to) in bordered.chunks_exact_mut(row).skip(1).take(height).enumerate() {
+        let from = |y: usize| &depth[y * width..(y + 1) * width];
+        let (up, here, down) = (from(y.saturating_sub(1)), from(y), from((y + 1).min(height - 1)));
+        to[1..=width].copy_from_slice(here);
+        if width < 3 {
+            continue;
+        }
+        let n = width - 2;
+        let (l, c, r) = (&here[..n], &here[1..=n], &here[2..]);
+        let (u, d, to) = (&up[1..=n], &down[1..=n], &mut to[2..2 + n]);
+        for i in 0..n {
+            let least = l[i].min(r[i]).min(u[i].min(d[i]));
+            to[i] = if least > 0.0 { c[i] } else { -c[i] };
+        }
     }
 }
 
@@ -171,11 +189,12 @@ impl<'a> Kernel<'a> {
                 measured[i] = self.depth.get(pixel[i] as usize).copied().unwrap_or(0.0);
             }
             for i in 0..SLICE {
-                let d = measured[i];
+                let d = measured[i].abs();
                 let s = (d - voxel_z[i]) * self.per_mu;
-                let seen = (d > 0.0) & (s > -1.0);
-                let s = if s < 1.0 { s } else { 1.0 };
                 let sigma = self.noise.sigma_m(d);
+                let behind = if measured[i] > 0.0 { 1.0 } else { RIM_BEHIND };
+                let seen = (d > 0.0) & (s > -behind);
+                let s = if s < 1.0 { s } else { 1.0 };
                 // Deeper behind the surface than the noise reaches, a reading weighs less than free space seen from
                 // elsewhere: thin objects stay thin. Closer to the surface this would move the surface backwards.
                 let fade = 1.0 + self.fade_slope * (s + sigma * self.fade_per_mu);
