@@ -126,7 +126,7 @@ section! {
         /// Connected components with fewer vertices than this share of the largest component are removed.
         speck_share: f64 = 0.001, [0.0..=1.0], "", "";
         /// Approximate upper bound of the number of vertices of a regularised fused mesh: memory and time of the estimator grow with it.
-        max_vertices: u32 = 80000, [1000..=2000000], "vertices", "";
+        max_vertices: u32 = 56000, [1000..=2000000], "vertices", "";
         /// Weight of colour in the segmentation distance.
         segment_color: f64 = 1.0, [0.0..=100.0], "", "w1, Eq. (6)";
         /// Weight of concavity in the segmentation distance.
