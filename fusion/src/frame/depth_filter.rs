@@ -44,15 +44,13 @@ impl Hot for RejectSteep<'_> {
                 let z = c[i];
                 let known = |q: f32| if q > 0.0 { q } else { z };
                 let either = |q: f32, other: f32| if q > 0.0 { q } else { known(other) };
-                let (left, right) = (either(l[i], r[i]), either(r[i], l[i]));
-                let (above, below) = (either(u[i], d[i]), either(d[i], u[i]));
+                let nearer = |p: f32, q: f32| either(p, q).min(either(q, p));
+                let (across, along) = (nearer(l[i], r[i]), nearer(u[i], d[i]));
                 let corners = known(ul[i]).min(known(ur[i])).min(known(dl[i]).min(known(dr[i])));
-                let nearest = left.min(right).min(above.min(below)).min(corners);
-                // The nearer neighbour along each axis.
-                let across = left.min(right).max(above.min(below));
+                let nearest = across.min(along).min(corners);
                 let limit = slope * z + sigmas * noise.sigma_m(z);
                 let alone = ((l[i] <= 0.0) & (r[i] <= 0.0)) | ((u[i] <= 0.0) & (d[i] <= 0.0));
-                target[i] = if (z - nearest < limit) & (across - z < limit) & !alone { z } else { 0.0 };
+                target[i] = if (z - nearest < limit) & (across.max(along) - z < limit) & !alone { z } else { 0.0 };
             }
         }
     }

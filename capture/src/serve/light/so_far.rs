@@ -34,10 +34,10 @@ pub struct LightSoFar {
 impl LightSoFar {
     /// The light that was found on a mesh. `confidence` of its vertices is 0 where no picture shows them: those tell of nothing.
     #[must_use]
-    pub fn new(number: u64, [seconds, cpu_s]: [f64; 2], light: &Light, mesh: &Mesh, confidence: &[f32]) -> Self {
+    pub fn new(number: u64, seconds: f64, cpu_s: f64, light: &Light, mesh: &Mesh, confidence: &[f32]) -> Self {
         let directions: Vec<Vec3> = (0..DIRECTIONS).map(fibonacci).collect();
-        let shown = mesh.normals.iter().zip(confidence).filter(|(_, c)| **c > 0.0).map(|(n, _)| n);
-        let shown: Vec<&Vec3> = shown.collect();
+        let with_confidence = mesh.normals.iter().zip(confidence);
+        let shown: Vec<&Vec3> = with_confidence.filter(|(_, c)| **c > 0.0).map(|(n, _)| n).collect();
         let told = directions.iter().map(|d| {
             let facing = shown.iter().filter(|n| n.dot(*d) > TELLS).count() as f32;
             (facing / shown.len().max(1) as f32 / SHARE).min(1.0)
@@ -72,7 +72,7 @@ mod tests {
         let normals = [[Vec3::Z; 10], [-Vec3::Z; 10]].concat();
         let mesh = Mesh { positions: vec![Vec3::ZERO; 20], normals, triangles: vec![] };
         let confidence = [[1.0; 10], [0.0; 10]].concat();
-        let light = LightSoFar::new(1, [2.0, 0.5], &Light::default(), &mesh, &confidence);
+        let light = LightSoFar::new(1, 2.0, 0.5, &Light::default(), &mesh, &confidence);
         for (d, told) in light.directions.iter().zip(&light.told) {
             assert!((Vec3::from(*d).length() - 1.0).abs() < 1e-5);
             assert_eq!(*told, if d[2] > 0.5 { 1.0 } else { 0.0 });

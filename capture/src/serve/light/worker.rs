@@ -79,7 +79,7 @@ fn estimate(hub: &Hub, config: &Config, stop: &Stop, folder: &Path) -> Result<Op
     // What was seen is copied at the priority of the server, since fusion may wait for that; only then is there time.
     let (cpu_s, found) = std::thread::scope(|scope| scope.spawn(work).join()).map_err(|_| "the thread panicked")??;
     hub.set_light(
-        |number| LightSoFar::new(number, [seen.seconds, cpu_s], &found.light, &found.mesh, &found.confidence),
+        |number| LightSoFar::new(number, seen.seconds, cpu_s, &found.light, &found.mesh, &found.confidence),
         seen.scan,
     );
     Ok(Some(seen.seconds))
