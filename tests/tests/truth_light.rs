@@ -1,6 +1,7 @@
 //! Transfer and factorisation against scenes whose light and albedo are known.
 
 use estimator::factorisation::{Colors, FactorisationOptions, Factorised, factorise};
+use estimator::mesh::graph::Graph;
 use estimator::numerics::random::{hash, unit};
 use estimator::rays::RayScene;
 use estimator::transfer::{self, Traced, Tracer, Transfer};
@@ -115,6 +116,7 @@ fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factor
         clipped: &clipped,
         segment: &truth.material,
         segments,
+        graph: &Graph::of(&truth.mesh),
         known: None,
     };
     let bands = if solver == SolverChoice::Literal { 5 } else { BANDS };

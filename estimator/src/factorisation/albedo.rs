@@ -1,5 +1,6 @@
 //! Albedo per vertex: the segment's albedo plus the detail that the lit colours show.
 
+use crate::factorisation::paint::{self, Logs};
 use crate::factorisation::problem::{Colors, counted};
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::FactorisationTuning;
@@ -34,25 +35,33 @@ pub struct Evidence<'a> {
     irradiance: &'a [Vec3],
     /// Relative error of the transfer: `[vertex]`.
     transfer_error: &'a [f32],
+    /// The light is a model's: what it leaves of a patch is paint.
+    modelled: bool,
 }
 
 impl<'a> Evidence<'a> {
     /// Lit colours, irradiance over π and relative error of the transfer, the latter two `[vertex]`.
     #[must_use]
     pub fn new(colors: &'a Colors, irradiance: &'a [Vec3], transfer_error: &'a [f32]) -> Self {
-        Self { colors, irradiance, transfer_error }
+        Self { colors, irradiance, transfer_error, modelled: true }
+    }
+
+    /// The irradiance is a smooth function that no light explains: shadows that it leaves are no paint.
+    #[must_use]
+    pub fn unexplained(self) -> Self {
+        Self { modelled: false, ..self }
     }
 }
 
 /// a_i = f_i / E_i, regularised towards the segment's albedo where E_i is small or uncertain: the posterior mean of log a_i
 /// with the segment's spread as prior and the errors of f_i and E_i as likelihood. What spreads plain surfaces is error of the
-/// light and the colours, not paint: a segment's own spread of albedo is what exceeds it. `segment_albedo` is
-/// `[segment][channel]`; its scale is not fixed yet, nor is that of the answer.
+/// light and the colours, not paint: a segment's own spread of albedo is what exceeds it, and a patch may have more
+/// ([`paint::of_patch`]). `segment_albedo` is `[segment][channel]`; its scale is not fixed yet, nor is that of the answer.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
-    let &Evidence { colors, irradiance, transfer_error } = evidence;
+    let &Evidence { colors, irradiance, transfer_error, modelled } = evidence;
     let count = colors.lit_color.len();
-    let logs: Vec<Option<[f64; 3]>> = (0..count)
+    let logs: Vec<Logs> = (0..count)
         .into_par_iter()
         .map(|i| {
             let (f, e) = (colors.lit_color[i], irradiance[i]);
@@ -84,7 +93,9 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
                 + light_error * light_error
                 + color_error * color_error
                 + f64::from(transfer_error[i] * transfer_error[i]);
-            let detail_share = texture(segment) / (texture(segment) + variance);
+            let patch = if modelled { paint::of_patch(i, &logs, variance, colors) } else { 0.0 };
+            let paint = texture(segment).max(patch);
+            let detail_share = paint / (paint + variance);
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
             (
                 vector(albedo),
@@ -109,7 +120,7 @@ struct Spread {
 }
 
 /// The spread of every segment: `[segment]`.
-fn spreads(segment: &[u32], logs: &[Option<[f64; 3]>], segments: usize) -> Vec<Spread> {
+fn spreads(segment: &[u32], logs: &[Logs], segments: usize) -> Vec<Spread> {
     let mut off: Vec<Vec<f64>> = vec![Vec::new(); segments];
     for (log, segment) in logs.iter().zip(segment) {
         if let (Some(log), Some(off)) = (log, off.get_mut(*segment as usize)) {
@@ -147,6 +158,7 @@ fn medians(evidence: &Evidence, segments: usize) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::graph::Graph;
 
     /// Three surfaces of 100 vertices in even light: two are off by 5 % (error), one by half (paint).
     #[test]
@@ -164,6 +176,7 @@ mod tests {
             clipped: &clipped,
             segment: &segment,
             segments: 3,
+            graph: &Graph::new(segment.len(), &[]),
             known: None,
         };
         let evidence = Evidence::new(&colors, &[Vec3::ONE; 300], &[0.0; 300]);

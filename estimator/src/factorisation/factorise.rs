@@ -208,6 +208,7 @@ fn normalised(
 mod tests {
     use super::*;
     use crate::factorisation::drawn_light;
+    use crate::mesh::graph::Graph;
     use recordings::types::Mesh;
 
     /// A surface that is seen everywhere, with its lit colours.
@@ -216,11 +217,13 @@ mod tests {
         weight: Vec<f32>,
         clipped: Vec<bool>,
         segment: Vec<u32>,
+        graph: Graph,
     }
 
     impl Seen {
         fn new(lit: Vec<Vec3>, segment: Vec<u32>) -> Self {
-            Self { weight: vec![1.0; lit.len()], clipped: vec![false; lit.len()], lit, segment }
+            let (weight, clipped) = (vec![1.0; lit.len()], vec![false; lit.len()]);
+            Self { weight, clipped, graph: Graph::new(lit.len(), &[]), lit, segment }
         }
 
         /// In two segments.
@@ -232,6 +235,7 @@ mod tests {
                 clipped: &self.clipped,
                 segment: &self.segment,
                 segments: 2,
+                graph: &self.graph,
                 known: None,
             }
         }

@@ -10,6 +10,7 @@ pub mod drawn_light;
 mod extrapolation;
 mod factorise;
 pub mod held_out;
+pub mod paint;
 pub mod paper_solver;
 mod posterior;
 mod problem;

@@ -1,5 +1,6 @@
 //! What is factorised, and how.
 
+use crate::mesh::graph::Graph;
 use crate::transfer::Transfer;
 use firmware_config::SolverChoice;
 use firmware_config::tuning::FactorisationTuning;
@@ -46,6 +47,8 @@ pub struct Colors<'a> {
     pub segment: &'a [u32],
     /// Number of segments.
     pub segments: usize,
+    /// Its edges.
+    pub graph: &'a Graph,
     /// A surface whose albedo is known, which then fixes the scale.
     pub known: Option<&'a KnownAlbedo>,
 }

@@ -87,6 +87,7 @@ pub(super) fn brightest_large(albedo: &[f64], seen: &[f64], tuning: &Factorisati
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::graph::Graph;
     use proptest::prelude::*;
 
     /// Plain surfaces (albedo, vertices) under even light: albedo, irradiance and what `fix` makes of them.
@@ -137,6 +138,7 @@ mod tests {
                 clipped: &clipped,
                 segment,
                 segments,
+                graph: &Graph::new(0, &[]),
                 known,
             };
             fix(Scaled { solution, detail, irradiance, deviation }, &colors, &FactorisationTuning::default())

@@ -13,7 +13,6 @@ use crate::light_model::samples::Samples;
 use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
-use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::transfer::Traced;
 use firmware_config::tuning::{FactorisationTuning, SegmentationTuning};
@@ -63,8 +62,6 @@ pub struct Scene<'a> {
     pub mesh: &'a Mesh,
     /// The same for rays.
     pub rays: &'a RayScene,
-    /// Its edges.
-    pub graph: &'a Graph,
     /// Lit colours and segments.
     pub colors: Colors<'a>,
     /// What was not seen may radiate more than what is around it.
@@ -279,7 +276,8 @@ impl<'a> Choice<'a> {
 
     /// Finds what may emit, and what surfaces radiate.
     fn observe(&mut self) {
-        let Scene { mesh, rays, graph, colors, unseen_radiates, .. } = *self.scene;
+        let Scene { mesh, rays, colors, unseen_radiates, .. } = *self.scene;
+        let graph = colors.graph;
         let seen: Vec<bool> = colors.lit_weight.iter().map(|w| *w > 0.0).collect();
         self.radiance = secondary::filled(graph, colors.lit_color, &seen);
         self.pieces = emitters::candidates(mesh, graph, colors.clipped, &seen);
@@ -518,6 +516,7 @@ impl<'a> Choice<'a> {
         let unseen = self.fill_unseen(&mut solution.albedo);
         let transfer_error = self.traced.relative_errors();
         let evidence = Evidence::new(&self.scene.colors, &irradiance, &transfer_error);
+        let evidence = if light.model == LightModel::Unexplained { evidence.unexplained() } else { evidence };
         let mut detail = albedo::detail(&evidence, &solution.albedo, self.tuning);
         let Colors { lit_weight, segment, .. } = self.scene.colors;
         for (i, albedo) in detail.albedo.iter_mut().enumerate().filter(|(i, _)| lit_weight[*i] <= 0.0) {

@@ -95,6 +95,7 @@ fn chosen_with(
         clipped: &clipped,
         segment: &segment,
         segments: ALBEDO.len(),
+        graph: &Graph::of(&mesh),
         known: None,
     };
     let tuning = FactorisationTuning::default();
@@ -109,15 +110,7 @@ fn chosen_with(
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
     let paints = SegmentationTuning::default();
     let (unseen_radiates, divided_by) = (false, Some(&paints));
-    let parts = choose::Scene {
-        mesh: &mesh,
-        rays: &scene,
-        graph: &Graph::of(&mesh),
-        colors,
-        unseen_radiates,
-        seen_lamps: &[],
-        divided_by,
-    };
+    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates, seen_lamps: &[], divided_by };
     (choose::choose(&parts, &found, &options, &mut || true), paint)
 }
 

@@ -113,6 +113,24 @@ impl Graph {
         inside
     }
 
+    /// `start` and vertices at most `reach` edges from it through `passable` ones, breadth first, `most` of them at most.
+    #[must_use]
+    pub fn around(&self, start: usize, reach: usize, most: usize, passable: impl Fn(usize) -> bool) -> Vec<usize> {
+        let (mut list, mut inner) = (vec![start], 0);
+        for _ in 0..reach {
+            let ring = inner..list.len();
+            inner = ring.end;
+            for n in ring {
+                for j in self.neighbours(list[n]).iter().map(|&j| j as usize) {
+                    if list.len() < most && passable(j) && !list.contains(&j) {
+                        list.push(j);
+                    }
+                }
+            }
+        }
+        list
+    }
+
     /// Gives vertices without a colour the mean of their neighbours' colours, ring by ring, at most `rings` times.
     pub fn fill(&self, colors: &mut [Option<Vec3>], rings: usize) {
         let mut open: Vec<usize> = (0..colors.len()).filter(|&i| colors[i].is_none()).collect();

@@ -124,7 +124,7 @@ fn fit_and_expose(
 
 impl Surface<'_> {
     fn colors<'a>(&'a self, lit_color: &'a [Vec3], fields: &'a Association) -> Colors<'a> {
-        let Surface { segment, segments, known, .. } = *self;
+        let Surface { segment, segments, graph, known, .. } = *self;
         Colors {
             lit_color,
             lit_weight: &fields.lit_weight,
@@ -132,6 +132,7 @@ impl Surface<'_> {
             clipped: &fields.clipped,
             segment,
             segments,
+            graph,
             known,
         }
     }

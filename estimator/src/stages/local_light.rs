@@ -42,11 +42,11 @@ pub fn select_local_light(
     let paints = &config.tuning.segmentation;
     let choose = |prepared: &Prepared, found: &Factorised, lit_weight: &[f32], trial: Trial, run: &mut Run| {
         let colors = Colors { lit_weight, ..prepared.colors() };
-        let Prepared { mesh, scene: rays, graph, .. } = prepared;
+        let Prepared { mesh, scene: rays, .. } = prepared;
         let unseen_radiates = trial == Trial::UnseenRadiates;
         // As segmented, divided, and the final one.
         let divided_by = (trial == Trial::First && run.plan.fits_local_light(3)).then_some(paints);
-        let scene = choose::Scene { mesh, rays, graph, colors, unseen_radiates, seen_lamps: &seen_lamps, divided_by };
+        let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps: &seen_lamps, divided_by };
         let chosen = choose::choose(&scene, found, options, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searches > 0 {
             run.plan.local_light_done(chosen.searches);

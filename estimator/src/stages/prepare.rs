@@ -54,6 +54,7 @@ impl Prepared {
             clipped: &self.fields.clipped,
             segment: &self.segment,
             segments: self.segments,
+            graph: &self.graph,
             known: self.known.as_ref(),
         }
     }

@@ -13,6 +13,8 @@ section! {
         fade_sigmas: f64 = 3.0, [0.0..=100.0], "σ", "";
         /// Loss of weight per truncation distance beyond `fade_sigmas`. Source: tuned by hand on rendered scenes.
         fade_slope: f64 = 1.25, [0.0..=100.0], "1/truncation", "";
+        /// How far behind the surface a reading on the rim of what was seen counts: where the next ray passes by, all of it would become a wall behind the rim. Source: measured on recordings and rendered scenes.
+        rim_behind: f64 = 0.75, [0.0..=1.0], "truncation", "";
         /// Blocks outside the truncation band are tested for free space every n-th frame. Source: tuned by hand on recordings.
         carve_period: u32 = 8, [1..=1000], "frames", "";
         /// Blocks are tested for recycling every n-th frame. Source: tuned by hand on recordings.

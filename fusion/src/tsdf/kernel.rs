@@ -15,10 +15,6 @@ const SLICE: usize = EDGE * EDGE;
 /// The largest stored weight.
 const MAX_STORED_WEIGHT: f32 = 65535.0;
 
-/// How far behind the surface a reading on the rim of what was seen counts, in truncation distances: where the next ray passes
-/// by, all of it would become a wall behind the rim.
-const RIM_BEHIND: f32 = 0.75;
-
 /// Adding this to a small f32 leaves its nearest integer in the low bits.
 const MAGIC: f32 = 12_582_912.0;
 const MAGIC_BITS: i32 = 0x4B40_0000;
@@ -48,6 +44,8 @@ pub struct Kernel<'a> {
     /// Standard deviations behind the surface from which weights fall, per truncation distance, and their slope.
     fade_per_mu: f32,
     fade_slope: f32,
+    /// How far behind the surface a reading on a rim counts, in truncation distances.
+    rim_behind: f32,
     noise: DepthNoise,
     /// Upper bound of the old weight in the mean, in units of the stored weight.
     max_weight: f32,
@@ -137,6 +135,7 @@ impl<'a> Kernel<'a> {
             per_mu: 1.0 / volume.truncation_m(),
             fade_per_mu: config.tuning.volume.fade_sigmas as f32 / volume.truncation_m(),
             fade_slope: config.tuning.volume.fade_slope as f32,
+            rim_behind: config.tuning.volume.rim_behind as f32,
             noise: rig.noise,
             max_weight: config.max_weight as f32 / WEIGHT_UNIT,
         }
@@ -192,7 +191,7 @@ impl<'a> Kernel<'a> {
                 let d = measured[i].abs();
                 let s = (d - voxel_z[i]) * self.per_mu;
                 let sigma = self.noise.sigma_m(d);
-                let behind = if measured[i] > 0.0 { 1.0 } else { RIM_BEHIND };
+                let behind = if measured[i] > 0.0 { 1.0 } else { self.rim_behind };
                 let seen = (d > 0.0) & (s > -behind);
                 let s = if s < 1.0 { s } else { 1.0 };
                 // Deeper behind the surface than the noise reaches, a reading weighs less than free space seen from
