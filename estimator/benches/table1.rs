@@ -75,8 +75,10 @@ fn main() {
             let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, &config);
             association::associate(&context, &scan.keyframes, &())
         });
-        let (segment, segmentation) = timed(|| {
-            segmentation::segment(&mesh, &Graph::of(&mesh), &scene, &fields.lit_color, &fields.lit_weight, &config)
+        let ((graph, segment), segmentation) = timed(|| {
+            let graph = Graph::of(&mesh);
+            let segment = segmentation::segment(&mesh, &graph, &scene, &fields.lit_color, &fields.lit_weight, &config);
+            (graph, segment)
         });
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
         let tracer = Tracer { mesh: &mesh, scene: &scene, bands: sh::MAX_BANDS, seed: config.seed };
@@ -91,6 +93,7 @@ fn main() {
             clipped: &fields.clipped,
             segment: &segment,
             segments,
+            graph: &graph,
             known: None,
         };
         let options = FactorisationOptions {
