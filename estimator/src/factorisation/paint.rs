@@ -18,7 +18,7 @@ const EXPLAINED: f64 = 4.0;
 /// Variance of paint over the square of one patch beyond what is explained: the tails of paint are long.
 const WIDE: f64 = 4.0;
 
-/// Variance of the log albedo that is paint around vertex `i`: [`WIDE`] times the square, mean over channels, of the patch's median
+/// Variance of the log albedo that is paint around vertex `i`: four times the square, mean over channels, of the patch's median
 /// difference from its segment, less what an error of this `variance` explains. `logs`: `[vertex]`.
 #[must_use]
 pub fn of_patch(i: usize, logs: &[Logs], variance: f64, colors: &Colors) -> f64 {
