@@ -291,6 +291,11 @@ pub enum Decision {
         /// The same with one albedo a part.
         held_out: f64,
     },
+    /// Keyframes that show more glare than surface: they tell of no colour.
+    Haze {
+        /// Keyframe, and the share of its light that is glare: median over the surface that it shows.
+        glare: Vec<(u32, f64)>,
+    },
 }
 
 /// How the distant light correlates with what half of the keyframes saw beyond the scan. No step uses that; of what the other half

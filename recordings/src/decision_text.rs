@@ -92,6 +92,7 @@ impl Decision {
             Self::LightChroma { .. } => "colour of the light",
             Self::Background(_) => "background",
             Self::Division { .. } => "segments",
+            Self::Haze { .. } => "glare",
         }
     }
 
@@ -138,6 +139,10 @@ impl Decision {
                     .map_or(used.clone(), |c| format!("{used}, which correlates {c:.2} with what was left out"))
             }
             Self::Division { parts, .. } => format!("divided into {parts}"),
+            Self::Haze { glare } => {
+                let keyframes: Vec<String> = glare.iter().map(|(k, _)| k.to_string()).collect();
+                format!("left out: keyframes {}", keyframes.join(", "))
+            }
             Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
     }
@@ -288,6 +293,10 @@ impl Decision {
                 "mean relative error on held-out blocks of surface: {held_out_segments:.4} with an albedo for \
                  each of {segments} segments, {held_out:.4} with one for each of their parts that face one way and differ"
             ),
+            Self::Haze { glare } => {
+                let shares: Vec<String> = glare.iter().map(|(_, share)| format!("{share:.2}")).collect();
+                format!("share of glare in the light over the surface that they show: {}", shares.join(", "))
+            }
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -320,6 +329,7 @@ impl Decision {
             Self::Veil { held_out, .. } => format!("{} shares tried", held_out.len()),
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } | Self::Division { .. } => "2 models compared".into(),
+            Self::Haze { glare } => format!("{} pictures", glare.len()),
             Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),
             Self::Background(b) => format!("{} pictures", b.keyframes),
         }
@@ -376,6 +386,7 @@ impl Decision {
             | Self::Division { .. }
             | Self::LightChroma { .. }
             | Self::Background(_) => String::new(),
+            Self::Haze { .. } => "keep lamps and windows out of the picture".into(),
         }
     }
 }
@@ -623,6 +634,16 @@ mod tests {
             line(&refused),
             "near light | refused | mean relative error on means of held-out patches: distant 0.0400, the best near model \
              0.0300; at most 0.65 of the former is asked for, since gloss can look like a lamp | 2 models compared | "
+        );
+    }
+
+    #[test]
+    fn hazed_keyframes_are_named() {
+        let haze = Decision::Haze { glare: vec![(3, 0.914), (10, 0.6)] };
+        assert_eq!(
+            line(&haze),
+            "glare | left out: keyframes 3, 10 | share of glare in the light over the surface that they show: 0.91, 0.60 | \
+             2 pictures | keep lamps and windows out of the picture"
         );
     }
 

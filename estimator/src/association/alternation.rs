@@ -3,8 +3,9 @@
 use crate::api::Progress;
 use crate::association::context::AssociationContext;
 use crate::association::eligibility::EligibilityRules;
-use crate::association::exposure;
+use crate::association::exposure::{self, Exposures};
 use crate::association::exposure_patches::ExposureProblem;
+use crate::association::haze::LeftOut;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
@@ -41,7 +42,7 @@ pub fn associate_within(
     effort: AssociationEffort,
 ) -> Association {
     let config = context.config;
-    let images: Vec<Option<KeyframeImage>> = keyframes
+    let mut images: Vec<Option<KeyframeImage>> = keyframes
         .par_iter()
         .enumerate()
         .map(|(j, k)| if j % effort.stride == 0 { KeyframeImage::new(&k.color, &k.camera) } else { None })
@@ -55,7 +56,7 @@ pub fn associate_within(
     let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
         image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table))
     };
-    let veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
+    let mut veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
     let problem = ExposureProblem {
         mesh: context.mesh,
         median_edge: context.median_edge,
@@ -64,6 +65,7 @@ pub fn associate_within(
         veils: &veils,
         tuning: &config.tuning.exposure,
     };
+    let mut left_out = LeftOut::default();
     let mut refiner = PoseRefiner::new(keyframes.iter().map(|k| k.world_from_camera).collect());
     let mut round = 0;
     while round < refiner.rounds(rounds) {
@@ -74,8 +76,9 @@ pub fn associate_within(
         let relaxed = f64::from(round.min(rounds)) / f64::from(rounds);
         let rules = EligibilityRules::new(config, relaxed);
         let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
-        let (gains, _) = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
-        views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
+        let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
+        views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
+        left_out.take(exposures.hazed, &mut images);
         let lit = lit_colors(&field, &views); // Eq. (2)
         if !refiner.step(context, &images, &field, &lit, &mut views, round) {
             break;
@@ -83,9 +86,14 @@ pub fn associate_within(
         round += 1;
     }
     let rules = EligibilityRules::new(config, 1.0);
-    let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
-    let (gains, decision) = exposure::solve(&field, &problem, &views, config.exposure);
-    views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
+    let (field, decision) = loop {
+        let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
+        let Exposures { gains, decision, hazed } = exposure::solve(&field, &problem, &views, config.exposure);
+        views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
+        if !left_out.take(hazed, &mut images) {
+            break (field, decision);
+        }
+    };
     let lit = lit_colors(&field, &views);
     let reliability = reliability(&lit, &context.graph, turns(context, &images, &field, &views));
     progress.stage("association", 1.0);
@@ -94,6 +102,7 @@ pub fn associate_within(
         let gain = views[o.keyframe as usize].gain;
         o.color = std::array::from_fn(|c| o.color[c] / gain[c] as f32);
     });
+    let haze = left_out.give_back(&mut images, &mut views, &mut veils);
     let poses: Vec<Pose> = views.iter().map(|v| v.world_from_camera).collect();
     Association {
         veils,
@@ -106,7 +115,7 @@ pub fn associate_within(
         views,
         observations,
         offsets: field.offsets,
-        decisions: decision.into_iter().chain([refiner.decision(refine)]).collect(),
+        decisions: decision.into_iter().chain(haze).chain([refiner.decision(refine)]).collect(),
         dark_below: config.dark_below as f32,
         exposure: config.tuning.exposure.clone(),
     }

@@ -5,6 +5,7 @@
 //! Each patch measures the differences between its keyframes; the gains are those on which most of the patches agree.
 
 use crate::association::exposure_patches::{ExposureProblem, Patch, mean_square, patches};
+use crate::association::haze::{Hazed, hazed};
 use crate::association::light_field::LightField;
 use crate::association::observations::RefinedView;
 use firmware_config::ExposureChoice;
@@ -24,28 +25,38 @@ const CONVERGED_LOG: f64 = 1e-5;
 /// Log gains per keyframe and channel: `[keyframe][channel]`.
 type LogGains = Vec<[f64; 3]>;
 
-/// Gains g_j, `[keyframe][channel]` (image = gain · radiance, geometric mean 1), and the evidence if the model was chosen here.
+/// What is known of the exposures.
+pub struct Exposures {
+    /// Gains g_j, `[keyframe][channel]`: image = gain · radiance, geometric mean 1.
+    pub gains: Vec<[f64; 3]>,
+    /// The evidence, if the model was chosen here.
+    pub decision: Option<Decision>,
+    /// Keyframes that show more glare than surface.
+    pub hazed: Vec<Hazed>,
+}
+
+/// Exposures of the keyframes by what they saw of the surface.
 pub fn solve(
     field: &LightField,
     problem: &ExposureProblem,
     views: &[RefinedView],
     choice: ExposureChoice,
-) -> (Vec<[f64; 3]>, Option<Decision>) {
+) -> Exposures {
     let keyframes = problem.keyframes;
-    let neutral = vec![[1.0; 3]; keyframes];
+    let neutral = |decision| Exposures { gains: vec![[1.0; 3]; keyframes], decision, hazed: Vec::new() };
     if choice == ExposureChoice::None || keyframes < 2 {
-        return (neutral, None);
+        return neutral(None);
     }
     let patches = patches(field, problem, views);
     if patches.is_empty() {
-        return (neutral, None);
+        return neutral(None);
     }
     let all: Vec<&Patch> = patches.iter().collect();
     let solver = Solver { keyframes, tuning: problem.tuning };
     let start = solver.agreed(&all);
     let fit = |patches: &[&Patch], rgb: bool| solver.refine(patches, start.clone(), rgb);
     let (logs, decision) = match choice {
-        ExposureChoice::None => return (neutral, None),
+        ExposureChoice::None => return neutral(None),
         ExposureChoice::Scalar => (fit(&all, false), None),
         ExposureChoice::Rgb => (fit(&all, true), None),
         ExposureChoice::Auto => {
@@ -64,12 +75,13 @@ pub fn solve(
             };
             let decision = Decision::Exposure { chosen, none, scalar, rgb, patches: all.len() as u32 };
             if chosen == ExposureModel::None {
-                return (neutral, Some(decision));
+                return neutral(Some(decision));
             }
             (fit(&all, chosen == ExposureModel::Rgb), Some(decision))
         }
     };
-    (logs.iter().map(|l| l.map(libm::exp)).collect(), decision)
+    let hazed = hazed(&patches, &logs);
+    Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decision, hazed }
 }
 
 /// The estimate over patches with known number of keyframes and thresholds.
@@ -263,7 +275,7 @@ mod tests {
         let view = RefinedView { world_from_camera: Pose::IDENTITY, gain: [1.0; 3], residual_px: 0.0 };
         let (views, veils) = (vec![view; keyframes], vec![None; keyframes]);
         let problem = ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, veils: &veils, tuning };
-        solve(field, &problem, &views, choice).0
+        solve(field, &problem, &views, choice).gains
     }
 
     fn worst_error(found: &[[f64; 3]], gains: &[f64]) -> f64 {

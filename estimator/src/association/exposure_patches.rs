@@ -39,8 +39,14 @@ pub struct Patch {
     pub keyframes: Vec<u16>,
     /// `[keyframe of the patch][channel]`.
     pub logs: Vec<[f64; 3]>,
-    /// `[keyframe of the patch]`, 0 to 1.
+    /// How far they tell of the exposure: `[keyframe of the patch]`, 0 to 1.
     pub weights: Vec<f64>,
+    /// How far they are known: `[keyframe of the patch]`, 0 to 1.
+    pub known: Vec<f64>,
+    /// Linear image value whose logarithm is 0 in `logs`.
+    pub level: f64,
+    /// Veil over the patch at a share of 1, mean of the channels: `[keyframe of the patch]`.
+    pub veils: Vec<f64>,
     /// Mean log colour.
     pub color: Vec3,
     /// Main direction of the normal: 2 · axis + (negative).
@@ -94,16 +100,25 @@ impl Patch {
         let center: Vec3 =
             members.iter().map(|m| problem.mesh.positions[m.vertex]).sum::<Vec3>() / members.len() as f32;
         let lights = brightness(&entries, keyframes.len());
-        let weight = |((w, k), light): ((f64, &u16), f64)| {
-            let k = usize::from(*k);
-            // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
-            let over = |v: &Veil| f64::from(v.over(cameras[k].transform(center.as_dvec3())).element_sum()) / 3.0;
-            let veil = problem.veils[k].as_ref().map_or(0.0, over);
-            let own = (light / (OUTSHINES * problem.tuning.veil_share * veil).max(1e-12)).min(1.0);
-            w / (w + problem.tuning.half_weight) * own * own
+        let veil = |k: &u16| {
+            let over = |v: &Veil| {
+                let veil = v.over(cameras[usize::from(*k)].transform(center.as_dvec3()));
+                f64::from(veil.element_sum()) / 3.0
+            };
+            problem.veils[usize::from(*k)].as_ref().map_or(0.0, over)
         };
-        let weights = weights.into_iter().zip(&keyframes).zip(lights).map(weight).collect();
-        Some(Self { keyframes, logs, weights, color, facing: members[0].facing })
+        let veils: Vec<f64> = keyframes.iter().map(veil).collect();
+        let known: Vec<f64> = weights.into_iter().map(|w| w / (w + problem.tuning.half_weight)).collect();
+        // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
+        let weight = |((known, light), veil): ((&f64, &f64), &f64)| {
+            let own = (light / (OUTSHINES * problem.tuning.veil_share * veil).max(1e-12)).min(1.0);
+            known * own * own
+        };
+        let weights = known.iter().zip(&lights).zip(&veils).map(weight).collect();
+        let level =
+            lights.iter().zip(&logs).map(|(light, log)| libm::log(light.max(1e-12)) - mean_log(log)).sum::<f64>();
+        let level = libm::exp(level / keyframes.len() as f64);
+        Some(Self { keyframes, logs, weights, known, level, veils, color, facing: members[0].facing })
     }
 
     /// Log deviation of every keyframe of the patch from `gains`, about the patch's weighted median.
@@ -127,6 +142,11 @@ impl Patch {
         let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
         (sum / total.max(1e-12), total * (1.0 - 1.0 / self.keyframes.len() as f64))
     }
+}
+
+/// Mean over the channels.
+pub fn mean_log(log: &[f64; 3]) -> f64 {
+    (log[0] + log[1] + log[2]) / 3.0
 }
 
 /// Mean square over the channels.

@@ -2,7 +2,7 @@
 //! robust lit colour per vertex, exposures and refined poses ([`alternation`] runs the steps in turn).
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`], how far they can be trusted:
-//! [`reliability`]; exposures, Eq. (5): [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
+//! [`reliability`]; exposures, Eq. (5): [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`], without keyframes that show more glare than surface, [`haze`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
 
@@ -12,6 +12,7 @@ pub mod context;
 pub mod eligibility;
 pub mod exposure;
 pub mod exposure_patches;
+pub mod haze;
 pub mod image_filters;
 pub mod keyframe_image;
 pub mod light_field;

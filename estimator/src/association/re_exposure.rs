@@ -43,9 +43,10 @@ impl Association {
             veils: &self.veils,
             tuning: &self.exposure,
         };
-        let (new, _) = exposure::solve(&field, &problem, &self.views, choice);
+        let new = exposure::solve(&field, &problem, &self.views, choice).gains;
         let mut moved = 0.0;
-        for (view, new) in self.views.iter_mut().zip(&new) {
+        let seen = shares.iter().map(|[glossy, matte]| glossy + matte > 0.0);
+        for ((view, new), _) in self.views.iter_mut().zip(&new).zip(seen).filter(|(_, seen)| *seen) {
             moved += view.gain.iter().zip(new).map(|(a, b)| libm::log(b / a).powi(2)).sum::<f64>() / 3.0;
             view.gain = *new;
         }

@@ -1,6 +1,6 @@
 //! What keyframes saw beyond the scan: the only direct evidence of the light.
 
-use crate::association::RefinedView;
+use crate::association::{Association, RefinedView};
 use crate::factorisation::SeenBackground;
 use crate::factorisation::drawn_light::Chosen;
 use crate::numerics::cielab::luminance;
@@ -40,8 +40,9 @@ struct Seen {
 }
 
 impl Background {
-    /// Looks past the mesh of `scene` from the refined `views`, of which every `stride`-th was used.
-    pub fn observe(scan: &Scan, views: &[RefinedView], stride: usize, scene: &RayScene) -> Self {
+    /// Looks past the mesh of `scene` from the refined views of `fields` whose pictures were used.
+    pub fn observe(scan: &Scan, fields: &Association, scene: &RayScene) -> Self {
+        let views = &fields.views;
         let table = scan.sensor.response.linear_table();
         let tuning = SurroundingsTuning { sample_step_px: STEP_PX, ..SurroundingsTuning::default() };
         let of_keyframe = |j: &usize| {
@@ -56,7 +57,7 @@ impl Background {
             })
             .collect()
         };
-        let used: Vec<usize> = (0..views.len().min(scan.keyframes.len())).step_by(stride.max(1)).collect();
+        let used: Vec<usize> = (0..scan.keyframes.len()).filter(|j| fields.veils[*j].is_some()).collect();
         let seen: Vec<Vec<Seen>> = used.par_iter().map(of_keyframe).collect();
         let mut halves = [Vec::new(), Vec::new()];
         for (n, seen) in seen.into_iter().enumerate() {

@@ -101,7 +101,7 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
     let effort =
         AssociationEffort { rounds: plan.max_pose_rounds(), stride, go_on: &mut |round| plan.pose_round(round) };
     let mut fields = association::associate_within(&context, &scan.keyframes, progress, effort);
-    let background = Background::observe(scan, &fields.views, stride, &scene);
+    let background = Background::observe(scan, &fields, &scene);
     plan.association_done();
     let mut decisions = std::mem::take(&mut fields.decisions);
     let (decision, mismatch) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);
