@@ -8,6 +8,7 @@ use crate::association::exposure_patches::{ExposureProblem, Patch, mean_square, 
 use crate::association::haze::{Hazed, hazed};
 use crate::association::light_field::LightField;
 use crate::association::observations::RefinedView;
+use crate::association::veil::Veil;
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
@@ -80,7 +81,8 @@ pub fn solve(
             (fit(&all, chosen == ExposureModel::Rgb), Some(decision))
         }
     };
-    let hazed = hazed(&patches, &logs);
+    let clipped: Vec<f64> = problem.veils.iter().map(|v| v.as_ref().map_or(0.0, Veil::clipped)).collect();
+    let hazed = hazed(&patches, &logs, &clipped);
     Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decision, hazed }
 }
 

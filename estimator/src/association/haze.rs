@@ -1,5 +1,5 @@
 //! Keyframes that show more glare than surface: a lamp or a window beside the surface, whose light the lens scatters over the
-//! picture. Their veil is unknown, since what scatters is clipped or outside of the picture, and it passes for exposure.
+//! picture. Their veil is unknown, since what scatters is clipped, and it passes for exposure.
 
 use crate::association::exposure_patches::{Patch, mean_log};
 use crate::association::keyframe_image::KeyframeImage;
@@ -8,7 +8,9 @@ use crate::association::veil::Veil;
 use crate::numerics::robust::weighted_median;
 use recordings::decision::Decision;
 
-/// A keyframe is hazed where glare is this share of the light that its patches have, …
+/// A keyframe may be hazed where this share of its picture is clipped: a veil of what is not is known.
+const LEAST_CLIPPED: f64 = 0.05;
+/// It is where glare is this share of the light that its patches have, …
 const MOSTLY: f64 = 0.5;
 /// … and gain and veil leave at most this share of what a gain alone leaves.
 const LEAVES: f64 = 0.6;
@@ -76,10 +78,12 @@ struct Shown {
     weight: f64,
 }
 
-/// The hazed ones of the keyframes, ascending: those in which c = g m + s V with g and s of the keyframe holds over the patches
-/// where c = g m does not, and s V is most of c. `gains` are the logarithms of the gains found: `[keyframe][channel]`.
-pub fn hazed(patches: &[Patch], gains: &[[f64; 3]]) -> Vec<Hazed> {
-    (0..gains.len()).filter_map(|j| of_keyframe(j, patches, gains)).collect()
+/// The hazed ones of the keyframes, ascending: those of a picture with a clipped part in which c = g m + s V with g and s of the
+/// keyframe holds over the patches where c = g m does not, and s V is most of c. `gains` are the logarithms of the gains found:
+/// `[keyframe][channel]`; `clipped` is the clipped share of the pictures: `[keyframe]`.
+pub fn hazed(patches: &[Patch], gains: &[[f64; 3]], clipped: &[f64]) -> Vec<Hazed> {
+    let dazzled = (0..gains.len()).filter(|j| clipped[*j] >= LEAST_CLIPPED);
+    dazzled.filter_map(|j| of_keyframe(j, patches, gains)).collect()
 }
 
 fn of_keyframe(j: usize, patches: &[Patch], gains: &[[f64; 3]]) -> Option<Hazed> {
@@ -166,25 +170,36 @@ mod tests {
         (0..60).map(patch).collect()
     }
 
+    /// The last picture has a lamp in it.
+    const DAZZLED: [f64; 8] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.2];
+
+    #[test]
+    fn without_clipped_light_there_is_no_haze() {
+        let patches = patches(|radiance, _| 0.3 * radiance + 0.15);
+        let gains = [[0.0; 3]; 8];
+        assert_eq!(hazed(&patches, &gains, &DAZZLED).len(), 1);
+        assert!(hazed(&patches, &gains, &[0.01; 8]).is_empty());
+    }
+
     #[test]
     fn a_keyframe_of_mostly_glare_is_found_with_its_own_gain() {
         let patches = patches(|radiance, p| 0.3 * radiance + 0.5 * (0.3 + 0.01 * (p / 10) as f64));
         let gains = vec![[0.0; 3]; 8];
-        let [found] = hazed(&patches, &gains)[..] else { panic!("{:?}", hazed(&patches, &gains)) };
+        let [found] = hazed(&patches, &gains, &DAZZLED)[..] else { panic!("{:?}", hazed(&patches, &gains, &DAZZLED)) };
         assert_eq!(found.keyframe, 7);
         assert!((found.gain - 0.3).abs() < 0.01 && found.glare > 0.7, "{found:?}");
     }
 
     #[test]
     fn another_exposure_and_some_glare_are_no_haze() {
-        assert!(hazed(&patches(|radiance, _| 4.0 * radiance), &[[0.0; 3]; 8]).is_empty());
-        assert!(hazed(&patches(|radiance, _| radiance + 0.02 * 0.3), &[[0.0; 3]; 8]).is_empty());
+        assert!(hazed(&patches(|radiance, _| 4.0 * radiance), &[[0.0; 3]; 8], &DAZZLED).is_empty());
+        assert!(hazed(&patches(|radiance, _| radiance + 0.02 * 0.3), &[[0.0; 3]; 8], &DAZZLED).is_empty());
     }
 
     #[test]
     fn gloss_on_half_of_the_surface_is_no_haze() {
         let gloss = |radiance, p: usize| if p.is_multiple_of(2) { radiance } else { radiance + 0.2 };
-        assert!(hazed(&patches(gloss), &[[0.0; 3]; 8]).is_empty());
+        assert!(hazed(&patches(gloss), &[[0.0; 3]; 8], &DAZZLED).is_empty());
     }
 
     #[test]

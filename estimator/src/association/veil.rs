@@ -13,6 +13,8 @@ const ROWS: usize = 15;
 const CORE_RAD: f64 = 0.06;
 /// Every so many pixels are read along each axis.
 const STRIDE: usize = 3;
+/// All channels of what is clipped have at least this value.
+const CLIPPED: u8 = 250;
 /// A colour keeps this share of itself at least.
 const LEAST_LEFT: f32 = 0.05;
 
@@ -21,6 +23,7 @@ const LEAST_LEFT: f32 = 0.05;
 pub struct Veil {
     cells: Vec<Vec3>,
     camera: Intrinsics,
+    clipped: f64,
 }
 
 impl Veil {
@@ -30,12 +33,16 @@ impl Veil {
         let k = image.camera;
         let (width, height) = (k.width as usize, k.height as usize);
         let mut sums = vec![(DVec3::ZERO, 0.0); COLUMNS * ROWS];
+        let mut clipped = 0.0;
         for y in (0..height).step_by(STRIDE) {
             for x in (0..width).step_by(STRIDE) {
                 // Beyond the lens the undistorted picture is white.
                 let is_white = image.bytes(x, y) == [255; 3];
                 if is_white && distorted(lens, x, y).is_none() {
                     continue;
+                }
+                if image.bytes(x, y).iter().all(|b| *b >= CLIPPED) {
+                    clipped += 1.0;
                 }
                 let color = image.bytes(x, y).map(|b| f64::from(table[b as usize]));
                 let sum = &mut sums[y * ROWS / height * COLUMNS + x * COLUMNS / width];
@@ -61,7 +68,14 @@ impl Veil {
             }
             (color / f64::max(total, f64::MIN_POSITIVE)).as_vec3()
         };
-        Self { cells: (0..COLUMNS * ROWS).map(cell).collect(), camera: k }
+        let read: f64 = sums.iter().map(|(_, count)| count).sum();
+        Self { cells: (0..COLUMNS * ROWS).map(cell).collect(), camera: k, clipped: clipped / f64::max(read, 1.0) }
+    }
+
+    /// Share of the picture that is clipped, 0 to 1: its light is unknown.
+    #[must_use]
+    pub fn clipped(&self) -> f64 {
+        self.clipped
     }
 
     /// V at a pixel.
@@ -126,6 +140,7 @@ mod tests {
         assert!(near > 1.5 * middle && middle > 1.2 * far && far > 0.0, "{near} {middle} {far}");
         // The weights are normalised: the mean light is kept within what the borders change.
         assert!(veil.at(140.0, 60.0).y < 1.0);
+        assert!((veil.clipped() - 0.25).abs() < 0.01, "{}", veil.clipped());
     }
 
     #[test]
