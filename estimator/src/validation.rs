@@ -79,7 +79,7 @@ pub fn compare(
     let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
     let tracked = frame.world_from_camera;
     let stride = config.tuning.validation.pixel_stride as usize;
-    let veil = Veil::of(&picture, &frame.camera, &context.table);
+    let veil = Veil::of(&picture, &frame.camera, &context.table, context.clipped);
     let image = ValidationImage { picture: &picture, lens: &frame.camera, veil: &veil, stride };
     let from = |camera: MovingCamera| Rendered::new(context, &image, camera);
     let still = |pose: &Pose| from(MovingCamera::still(pose, &picture.camera));

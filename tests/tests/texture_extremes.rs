@@ -28,7 +28,7 @@ fn textured(scan: &Scan) -> (Option<Texture>, Option<AtlasFigures>) {
     });
     let views: Vec<RefinedView> = views.collect();
     let veil = |k: &recordings::types::Keyframe| {
-        Some(Veil::of(&KeyframeImage::new(&k.color, &k.camera)?, &k.camera, &context.table))
+        Some(Veil::of(&KeyframeImage::new(&k.color, &k.camera)?, &k.camera, &context.table, context.clipped))
     };
     let veils: Vec<Option<Veil>> = scan.keyframes.iter().map(veil).collect();
     let keyframes: Vec<_> = scan.keyframes.iter().zip(&views).zip(&veils).map(|((k, v), veil)| (k, v, veil)).collect();

@@ -54,7 +54,7 @@ pub fn associate_within(
     let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
     let rounds = if refine { effort.rounds } else { 1 };
     let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
-        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table))
+        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table, context.clipped))
     };
     let mut veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
     let problem = ExposureProblem {

@@ -4,11 +4,12 @@
 //! which of them are diffuse. Patches do: the vertices of a patch share their view dependence, and their noise averages out.
 //! Each patch measures the differences between its keyframes; the gains are those on which most of the patches agree.
 
-use crate::association::exposure_patches::{ExposureProblem, Patch, mean_square, patches};
+use crate::association::exposure_patches::{ExposureProblem, Patch, patches};
 use crate::association::haze::{Hazed, hazed};
 use crate::association::light_field::LightField;
 use crate::association::observations::RefinedView;
 use crate::association::veil::Veil;
+use crate::numerics::channels::mean_square;
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;

@@ -4,6 +4,7 @@ use crate::association::light_field::LightField;
 use crate::association::observations::{Observation, RefinedView};
 use crate::association::veil::Veil;
 use crate::mesh::cells::{CellVertex, by_cell, groups};
+use crate::numerics::channels::{mean, mean_square};
 use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
@@ -115,8 +116,7 @@ impl Patch {
             known * own * own
         };
         let weights = known.iter().zip(&lights).zip(&veils).map(weight).collect();
-        let level =
-            lights.iter().zip(&logs).map(|(light, log)| libm::log(light.max(1e-12)) - mean_log(log)).sum::<f64>();
+        let level = lights.iter().zip(&logs).map(|(light, log)| libm::log(light.max(1e-12)) - mean(log)).sum::<f64>();
         let level = libm::exp(level / keyframes.len() as f64);
         Some(Self { keyframes, logs, weights, known, level, veils, color, facing: members[0].facing })
     }
@@ -142,16 +142,6 @@ impl Patch {
         let sum: f64 = deviations.iter().zip(&self.weights).map(|(d, w)| w * mean_square(d)).sum();
         (sum / total.max(1e-12), total * (1.0 - 1.0 / self.keyframes.len() as f64))
     }
-}
-
-/// Mean over the channels.
-pub fn mean_log(log: &[f64; 3]) -> f64 {
-    (log[0] + log[1] + log[2]) / 3.0
-}
-
-/// Mean square over the channels.
-pub fn mean_square(d: &[f64; 3]) -> f64 {
-    (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) / 3.0
 }
 
 /// Mean light of the entries of every keyframe.

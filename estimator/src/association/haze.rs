@@ -1,10 +1,11 @@
 //! Keyframes that show more glare than surface: a lamp or a window beside the surface, whose light the lens scatters over the
 //! picture. Their veil is unknown, since what scatters is clipped, and it passes for exposure.
 
-use crate::association::exposure_patches::{Patch, mean_log};
+use crate::association::exposure_patches::Patch;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::RefinedView;
 use crate::association::veil::Veil;
+use crate::numerics::channels::mean;
 use crate::numerics::robust::weighted_median;
 use recordings::decision::Decision;
 
@@ -91,9 +92,8 @@ fn of_keyframe(j: usize, patches: &[Patch], gains: &[[f64; 3]]) -> Option<Hazed>
     if shown.len() < LEAST_PATCHES {
         return None;
     }
-    let tolerance = TOLERANCE * TOLERANCE;
-    let plain = fit(&shown, false, tolerance);
-    let veiled = fit(&shown, true, tolerance);
+    let plain = fit(&shown, false);
+    let veiled = fit(&shown, true);
     let mut glare: Vec<(f64, f64)> = shown.iter().map(|s| (veiled.share * s.veil / s.value, s.weight)).collect();
     let glare = weighted_median(&mut glare)?.min(1.0);
     (glare > MOSTLY && veiled.left < LEAVES * plain.left).then_some(Hazed { keyframe: j, gain: veiled.gain, glare })
@@ -103,10 +103,10 @@ impl Shown {
     fn of(patch: &Patch, j: usize, gains: &[[f64; 3]]) -> Option<Self> {
         let own = patch.keyframes.iter().position(|k| usize::from(*k) == j)?;
         let others = (0..patch.keyframes.len()).filter(|k| *k != own);
-        let log = |k: usize| mean_log(&patch.logs[k]) - mean_log(&gains[usize::from(patch.keyframes[k])]);
+        let log = |k: usize| mean(&patch.logs[k]) - mean(&gains[usize::from(patch.keyframes[k])]);
         let mut radiances: Vec<(f64, f64)> = others.map(|k| (log(k), patch.weights[k])).collect();
         let radiance = patch.level * libm::exp(weighted_median(&mut radiances)?);
-        let value = patch.level * libm::exp(mean_log(&patch.logs[own]));
+        let value = patch.level * libm::exp(mean(&patch.logs[own]));
         (value > 0.0).then_some(Self { value, radiance, veil: patch.veils[own], weight: patch.known[own] })
     }
 }
@@ -119,7 +119,8 @@ struct Fit {
 }
 
 /// c = g m + s V by reweighted least squares of relative errors (Geman and McClure's weights); s = 0 unless `with_veil`.
-fn fit(shown: &[Shown], with_veil: bool, tolerance: f64) -> Fit {
+fn fit(shown: &[Shown], with_veil: bool) -> Fit {
+    let tolerance = TOLERANCE * TOLERANCE;
     let mut ratios: Vec<(f64, f64)> = shown.iter().map(|s| (s.value / s.radiance.max(1e-12), s.weight)).collect();
     let (mut gain, mut share) = (weighted_median(&mut ratios).unwrap_or(1.0), 0.0);
     let square = |s: &Shown, gain: f64, share: f64| (1.0 - (gain * s.radiance + share * s.veil) / s.value).powi(2);

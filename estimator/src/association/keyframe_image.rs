@@ -44,6 +44,12 @@ impl KeyframeImage {
         [self.data[i], self.data[i + 1], self.data[i + 2]]
     }
 
+    /// True if all channels of a pixel have at least the value `clipped`.
+    #[must_use]
+    pub fn is_clipped(&self, x: usize, y: usize, clipped: u8) -> bool {
+        self.bytes(x, y).iter().all(|b| *b >= clipped)
+    }
+
     /// Mean under a tent filter of half width `radius >= 1` pixels about (u, v); radius 1 is bilinear interpolation.
     /// `table` maps 8-bit values to linear light. `None` if the window leaves the image.
     pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<WindowSample> {

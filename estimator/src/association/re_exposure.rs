@@ -45,8 +45,9 @@ impl Association {
         };
         let new = exposure::solve(&field, &problem, &self.views, choice).gains;
         let mut moved = 0.0;
-        let seen = shares.iter().map(|[glossy, matte]| glossy + matte > 0.0);
-        for ((view, new), _) in self.views.iter_mut().zip(&new).zip(seen).filter(|(_, seen)| *seen) {
+        let pairs = self.views.iter_mut().zip(&new).zip(&shares);
+        // A keyframe that was left out keeps its gain.
+        for ((view, new), _) in pairs.filter(|(_, [glossy, matte])| glossy + matte > 0.0) {
             moved += view.gain.iter().zip(new).map(|(a, b)| libm::log(b / a).powi(2)).sum::<f64>() / 3.0;
             view.gain = *new;
         }

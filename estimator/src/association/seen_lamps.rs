@@ -176,7 +176,7 @@ fn is_dark(image: &KeyframeImage, world_from_camera: &Pose, center: DVec3, clipp
     let k = &image.camera;
     let (u, v) = k.project(p);
     let is_inside = p.z > 0.0 && u >= 0.0 && v >= 0.0 && u < f64::from(k.width) && v < f64::from(k.height);
-    is_inside && image.bytes(u as usize, v as usize).iter().any(|b| *b < clipped)
+    is_inside && !image.is_clipped(u as usize, v as usize, clipped)
 }
 
 /// The largest of the round clipped regions of a picture that its border does not cut.
@@ -184,8 +184,7 @@ fn spots_of(image: &KeyframeImage, world_from_camera: &Pose, keyframe: usize, cl
     let k = &image.camera;
     let step = (k.width as usize / COLUMNS).max(1);
     let (w, h) = (k.width as usize / step, k.height as usize / step);
-    let is_clipped =
-        |x: usize, y: usize| image.bytes(x * step + step / 2, y * step + step / 2).iter().all(|b| *b >= clipped);
+    let is_clipped = |x: usize, y: usize| image.is_clipped(x * step + step / 2, y * step + step / 2, clipped);
     let white: Vec<bool> = (0..w * h).map(|i| is_clipped(i % w, i / w)).collect();
     let mut unions = Unions::new(w * h);
     for i in (0..w * h).filter(|i| white[*i]) {

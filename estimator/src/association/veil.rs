@@ -13,8 +13,6 @@ const ROWS: usize = 15;
 const CORE_RAD: f64 = 0.06;
 /// Every so many pixels are read along each axis.
 const STRIDE: usize = 3;
-/// All channels of what is clipped have at least this value.
-const CLIPPED: u8 = 250;
 /// A colour keeps this share of itself at least.
 const LEAST_LEFT: f32 = 0.05;
 
@@ -27,9 +25,10 @@ pub struct Veil {
 }
 
 impl Veil {
-    /// The veil of an undistorted picture. `lens` is its camera, `table` maps 8-bit values to linear light.
+    /// The veil of an undistorted picture. `lens` is its camera, `table` maps 8-bit values to linear light; those
+    /// from `clipped_from` on are clipped.
     #[must_use]
-    pub fn of(image: &KeyframeImage, lens: &CameraModel, table: &[f32; 256]) -> Self {
+    pub fn of(image: &KeyframeImage, lens: &CameraModel, table: &[f32; 256], clipped_from: u8) -> Self {
         let k = image.camera;
         let (width, height) = (k.width as usize, k.height as usize);
         let mut sums = vec![(DVec3::ZERO, 0.0); COLUMNS * ROWS];
@@ -41,7 +40,7 @@ impl Veil {
                 if is_white && distorted(lens, x, y).is_none() {
                     continue;
                 }
-                if image.bytes(x, y).iter().all(|b| *b >= CLIPPED) {
+                if image.is_clipped(x, y, clipped_from) {
                     clipped += 1.0;
                 }
                 let color = image.bytes(x, y).map(|b| f64::from(table[b as usize]));
@@ -122,6 +121,7 @@ mod tests {
             &KeyframeImage { camera, data },
             &CameraModel { intrinsics: camera, distortion: Distortion::NONE },
             &table,
+            250,
         )
     }
 

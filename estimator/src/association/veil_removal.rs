@@ -86,7 +86,7 @@ mod tests {
         let data = (0..width * height).flat_map(|i| [if i % width >= 120 { 255 } else { 0 }; 3]).collect();
         let table = std::array::from_fn(|i| i as f32 / 255.0);
         let lens = CameraModel { intrinsics: camera, distortion: Distortion::NONE };
-        Veil::of(&KeyframeImage { camera, data }, &lens, &table)
+        Veil::of(&KeyframeImage { camera, data }, &lens, &table, 250)
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //! blue book in the segment of its table.
 
 use crate::factorisation::problem::{Colors, counted};
+use crate::numerics::channels::mean_square;
 use crate::numerics::robust::median;
 
 /// Difference of a vertex's log albedo from its segment's, per channel; `None` where it was not seen or is unlit.
@@ -22,9 +23,8 @@ const WIDE: f64 = 4.0;
 /// difference from its segment, less what an error of this `variance` explains. `logs`: `[vertex]`.
 #[must_use]
 pub fn of_patch(i: usize, logs: &[Logs], variance: f64, colors: &Colors) -> f64 {
-    let square = |log: [f64; 3]| log.map(|x| x * x).iter().sum::<f64>() / 3.0;
     let counts = |j: &usize| counted(colors.lit_weight, colors.reliability, *j) >= LEAST_SEEN;
-    if !logs[i].is_some_and(|own| square(own) > variance) || !counts(&i) {
+    if !logs[i].is_some_and(|own| mean_square(&own) > variance) || !counts(&i) {
         return 0.0;
     }
     let patch = colors.graph.around(i, REACH, MOST, |j| colors.segment[j] == colors.segment[i]);
@@ -33,7 +33,7 @@ pub fn of_patch(i: usize, logs: &[Logs], variance: f64, colors: &Colors) -> f64 
         return 0.0;
     }
     let off = [0, 1, 2].map(|c| median(tell.iter().map(|log| log[c])).unwrap_or(0.0));
-    WIDE * (square(off) - EXPLAINED * variance).max(0.0)
+    WIDE * (mean_square(&off) - EXPLAINED * variance).max(0.0)
 }
 
 #[cfg(test)]

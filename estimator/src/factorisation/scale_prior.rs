@@ -15,6 +15,7 @@
 use crate::factorisation::albedo::Detail;
 use crate::factorisation::problem::Colors;
 use crate::factorisation::solution::Solution;
+use crate::numerics::channels;
 use crate::numerics::cielab::luminance_f64;
 use crate::numerics::robust::{quantile, weighted_median};
 use firmware_config::tuning::FactorisationTuning;
@@ -153,7 +154,7 @@ impl Surface {
 
 /// A logarithm less the mean of its channels.
 fn chroma(log: &[f64; 3]) -> [f64; 3] {
-    let mean = log.iter().sum::<f64>() / 3.0;
+    let mean = channels::mean(log);
     log.map(|x| x - mean)
 }
 
