@@ -102,6 +102,12 @@ pub fn compare(
             found = rendered.pixels(model, lit);
             view.gain = gains(&found);
         }
+        // Where a picture shows little but an outline, its pose may be told less by it than by tracking.
+        if psnr(&found) < tracked_psnr_db[0] {
+            rendered = still(&tracked);
+            found = rendered.pixels(model, lit);
+            view.gain = gains(&found);
+        }
         view.world_from_camera = rendered.camera.camera_from_world.inverse();
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);

@@ -35,6 +35,9 @@ const NEAR_LEAVES: f64 = 0.65;
 /// Once all else was tried, a near model stands beside a smooth function that explains more if it leaves less than this share of what
 /// no model leaves. A smooth function interpolates: what differs from segment to segment it takes for light as well as for paint.
 const LEAVES_OF_NONE: f64 = 0.35;
+/// A model that leaves no more than this stands beside a smooth function that leaves less: what the function interpolates there is
+/// glare and other errors that neighbours share.
+const EXPLAINS: f64 = 0.08;
 /// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
 const UNQUESTIONED: f64 = 0.03;
 /// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
@@ -143,7 +146,7 @@ pub fn choose(
         }
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
         let stands = scene.unseen_radiates && is_near && least < LEAVES_OF_NONE * flat;
-        let is_unexplained = !stands && unexplained < least * (1.0 - LEAST_GAIN);
+        let is_unexplained = !stands && least > EXPLAINS && unexplained < least * (1.0 - LEAST_GAIN);
         // A near model that is clearly better than a smooth function has the segments right.
         if is_unexplained || is_near && least > CLEAR * unexplained {
             searches += u32::from(scene.divided_by.is_some());
