@@ -114,10 +114,8 @@ pub fn choose(
     may_search: &mut dyn FnMut() -> bool,
 ) -> Chosen {
     let mut choice = Choice::new(scene, &found.transfer.traced, options.tuning);
-    let given = choice.samples.vertex.iter().map(|i| found.irradiance[*i as usize].to_array().map(f64::from));
-    let given: Vec<[f64; 3]> = given.collect();
-    let at = |n: usize| given[n];
-    let distant = held_out::errors(&choice.samples, at);
+    let given = choice.samples.irradiance(found);
+    let distant = held_out::errors(&choice.samples, |n| given[n]);
     let samples = choice.samples.len() as u32;
     let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
     let (mut near, mut sunny, mut near_light, mut division) = (None, None, None, None);
@@ -133,17 +131,9 @@ pub fn choose(
         searches += 1;
         choice.observe();
         let best = choice.regularised(&choice.grown(&mut ladder));
-        // Where a smooth function replaces distant light, a model that explains more than both goes before it.
-        let replaced = unexplained < mean(&distant) * (1.0 - LEAST_GAIN);
-        let mut is_near = replaced && mean(&best.blocks) < unexplained;
-        if !is_near && is_better(&best.blocks, &distant) {
-            let patches = choice.samples.patches();
-            let of_distant = choice.patch_error(&patches, at);
-            let of_near = choice.patch_error(&patches, |n| best.solved.irradiance[n]);
-            is_near = of_near < NEAR_LEAVES * of_distant;
-            near_light =
-                Some(Decision::NearLight { accepted: is_near, distant: of_distant, near: of_near, most: NEAR_LEAVES });
-        }
+        let is_near;
+        (is_near, near_light) = choice.is_near(&best, unexplained, &distant, &given);
+        let is_distant = !is_near || best.kind() == LightModel::Secondary;
         let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
         let stands = scene.unseen_radiates && is_near && least < LEAVES_OF_NONE * flat;
         let is_unexplained = !stands && least > EXPLAINS && unexplained < least * (1.0 - LEAST_GAIN);
@@ -153,13 +143,16 @@ pub fn choose(
             division = scene.divided_by.and_then(|paints| choice.divided(&best, paints));
         }
         // Segments are right before a sun is looked for: what they take for one paint passes for its shadows.
-        let may_shine = !is_near && division.is_none() && !scene.unseen_radiates;
+        let may_shine = is_distant && division.is_none() && !scene.unseen_radiates;
         if may_shine && let Some((answer, blocks)) = choice.sunny(found, options) {
             ladder.push(LightRung { model: LightModel::Lamps, held_out: mean(&blocks) });
             let explains = unexplained >= mean(&blocks) * (1.0 - LEAST_GAIN);
-            sunny = (explains && is_better(&blocks, &distant)).then_some(answer);
+            let is_better = is_better(&blocks, &distant) && mean(&blocks) <= least;
+            sunny = (explains && is_better).then_some(answer);
         }
-        if is_unexplained && sunny.is_none() {
+        if sunny.is_some() {
+            near_light = near_light.filter(|_| !is_near);
+        } else if is_unexplained {
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
             near = Some(choice.unexplained(smooth, found));
         } else if is_near && division.is_none() {
@@ -290,6 +283,29 @@ impl<'a> Choice<'a> {
         }
         let column = |piece: &Piece| emitters::form_factors(mesh, rays, self.traced, piece, &self.samples.vertex);
         self.piece_columns = self.pieces.iter().map(column).collect();
+    }
+
+    /// True if a near model takes the place of distant light, with its evidence where that is asked for: it explains more than a smooth
+    /// function that would replace distant light, or means of patches far better than `distant` of the irradiance `given`, `[sample]`.
+    fn is_near(
+        &self,
+        best: &Model,
+        unexplained: f64,
+        distant: &Blocks,
+        given: &[[f64; 3]],
+    ) -> (bool, Option<Decision>) {
+        let replaced = unexplained < mean(distant) * (1.0 - LEAST_GAIN);
+        if replaced && mean(&best.blocks) < unexplained {
+            return (true, None);
+        }
+        if !is_better(&best.blocks, distant) {
+            return (false, None);
+        }
+        let patches = self.samples.patches();
+        let of_distant = self.patch_error(&patches, |n| given[n]);
+        let of_near = self.patch_error(&patches, |n| best.solved.irradiance[n]);
+        let accepted = of_near < NEAR_LEAVES * of_distant;
+        (accepted, Some(Decision::NearLight { accepted, distant: of_distant, near: of_near, most: NEAR_LEAVES }))
     }
 
     /// Held-out error of the means of patches, of an irradiance that is given at every sample.

@@ -219,6 +219,6 @@ impl Choice<'_> {
 }
 
 /// The model with the least held-out error.
-fn least_held_out(models: Vec<Model>) -> Option<Model> {
+pub(super) fn least_held_out(models: Vec<Model>) -> Option<Model> {
     models.into_iter().min_by(|a, b| mean(&a.blocks).total_cmp(&mean(&b.blocks)))
 }

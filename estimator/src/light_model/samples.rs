@@ -1,6 +1,6 @@
 //! The vertices that a model of light is fitted to, and those that are held out to judge it by.
 
-use crate::factorisation::Colors;
+use crate::factorisation::{Colors, Factorised};
 use crate::mesh::cells::facing;
 use crate::numerics::random::hash;
 use crate::numerics::robust::{median, segment_medians};
@@ -41,6 +41,12 @@ pub struct Samples {
 }
 
 impl Samples {
+    /// Irradiance over π of an answer at the samples: `[sample][channel]`.
+    #[must_use]
+    pub fn irradiance(&self, of: &Factorised) -> Vec<[f64; 3]> {
+        self.vertex.iter().map(|i| of.irradiance[*i as usize].to_array().map(f64::from)).collect()
+    }
+
     /// Samples what was seen unclipped of every segment evenly; `vertex_weight` is that of the vertices' geometry.
     #[must_use]
     pub fn new(mesh: &Mesh, colors: &Colors, vertex_weight: &[f32]) -> Self {

@@ -27,8 +27,10 @@ const LATTICE_SAMPLES: usize = 700;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
 const SOLVED: usize = 6;
 const APART: f32 = 1.6;
-/// Of directions, so many are refined: shadows make several that are nearly as good.
-const REFINED: usize = 3;
+/// Of directions, so many are solved, since those that light little surface can come first, and so many refined: shadows make several
+/// that are nearly as good.
+const DIRECTIONS_SOLVED: usize = 24;
+const DIRECTIONS_REFINED: usize = 3;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
 const EVALUATIONS: usize = 60;
@@ -80,24 +82,23 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        self.best_of(&places, step, SOLVED).into_iter().map(|(_, place)| place).collect()
+        self.best_of(&places, step, SOLVED, SOLVED).into_iter().map(|(_, place)| place).collect()
     }
 
-    /// The unit vector from the scene towards the best lamp at infinity; `None` where none explains anything.
+    /// Unit vectors from the scene towards the best lamps at infinity; none where no lamp explains anything.
     #[must_use]
-    pub fn best_direction(&self) -> Option<Vec3> {
+    pub fn best_directions(&self) -> Vec<Vec3> {
         let (low, high) = samples::bounds(self.mesh);
         let (middle, distance) = (0.5 * (low + high), FAR * low.distance(high));
         let places: Vec<Vec3> =
             sh::even_directions(DIRECTIONS).iter().map(|d| middle + d.as_vec3() * distance).collect();
         let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
-        let refined = self.best_of(&places, Vec3::splat(apart * distance), REFINED);
-        let best = refined.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-        best.map(|(_, place)| (place - middle).normalize_or_zero())
+        let refined = self.best_of(&places, Vec3::splat(apart * distance), DIRECTIONS_SOLVED, DIRECTIONS_REFINED);
+        refined.into_iter().map(|(_, place)| (place - middle).normalize_or_zero()).collect()
     }
 
-    /// The best of these places, `step` apart, refined, with what each leaves.
-    fn best_of(&self, places: &[Vec3], step: Vec3, refined: usize) -> Vec<(f64, Vec3)> {
+    /// The best of these places, `step` apart, so many of them solved and the best of those refined, with what each leaves.
+    fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, refined: usize) -> Vec<(f64, Vec3)> {
         let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
@@ -106,7 +107,7 @@ impl<'a> Search<'a> {
             if apart.iter().all(|p| ((place - *p) / step).length() > APART) {
                 apart.push(place);
             }
-            if apart.len() >= SOLVED {
+            if apart.len() >= solved {
                 break;
             }
         }

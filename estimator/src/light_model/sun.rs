@@ -2,12 +2,15 @@
 
 use crate::factorisation::{FactorisationOptions, Factorised, directions, factorise};
 use crate::light_model::choose::{Choice, REGULARISATION};
+use crate::light_model::growth::least_held_out;
 use crate::light_model::held_out::{self, Blocks, is_better};
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples;
 use crate::numerics::cielab::luminance_f64;
 use crate::transfer::Sun;
 use firmware_config::SolverChoice;
+use glam::Vec3;
+use rayon::prelude::*;
 use recordings::local_light::Lamp;
 use std::sync::Arc;
 
@@ -22,13 +25,15 @@ impl Choice<'_> {
         if options.solver != SolverChoice::Robust {
             return None;
         }
-        let sphere = self.at_infinity(self.search(&[], &[]).best_direction()?);
+        let places = self.search(&[], &[]).best_directions();
         // Cheap models first: the factorisation takes longer than all of the search.
-        let (without, with) =
-            rayon::join(|| self.solved(&[], &[], REGULARISATION), || self.solved(&[], &[sphere], REGULARISATION));
+        let solved = |direction: Vec3| self.solved(&[], &[self.at_infinity(direction)], REGULARISATION);
+        let with = least_held_out(places.into_par_iter().map(solved).collect())?;
+        let without = self.solved(&[], &[], REGULARISATION);
         if !is_better(&with.blocks, &without.blocks) {
             return None;
         }
+        let sphere = with.lamps[0];
         // Segments that shadows divide have the albedos under the sun from the start: those under light without it hide it.
         let albedo = with.solved.albedo;
         let traced = Arc::new(found.transfer.traced.with_sun(self.sun(&sphere)));
@@ -38,8 +43,8 @@ impl Choice<'_> {
         if luminance_f64(&sunny.solution.sun()?) < LEAST * mean {
             return None;
         }
-        let at = |n: usize| sunny.irradiance[self.samples.vertex[n] as usize].to_array().map(f64::from);
-        let blocks = held_out::errors(&self.samples, at);
+        let irradiance = self.samples.irradiance(&sunny);
+        let blocks = held_out::errors(&self.samples, |n| irradiance[n]);
         Some((sunny, blocks))
     }
 
