@@ -6,7 +6,7 @@ use crate::association::moving_camera::MovingCamera;
 use crate::association::pose;
 use crate::association::sampling::colors_of_image;
 use crate::association::veil::Veil;
-use crate::association::{AssociationContext, RefinedView};
+use crate::association::{AssociationContext, Lens, RefinedView};
 use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
@@ -39,8 +39,8 @@ pub struct Model<'a> {
     pub matte: &'a [Vec3],
     /// Texture, if there is one.
     pub detail: Option<&'a Detail<'a>>,
-    /// Share of veiling glare that the colours are free of: the frame's own is put over what is predicted.
-    pub veil_share: f64,
+    /// What the colours are free of: the frame's own is put over what is predicted.
+    pub lens: Lens,
 }
 
 /// Prediction of one validation frame, and what limits it.
@@ -66,6 +66,8 @@ struct Pixel {
     predicted: [f64; 3],
     /// Veil of the observed, linear RGB.
     veil: [f64; 3],
+    /// Share of the light that vignetting leaves.
+    shade: f64,
 }
 
 /// Compares one validation frame with the model; `None` if its picture cannot be decoded.
@@ -76,7 +78,8 @@ pub fn compare(
     frame: &Keyframe,
     config: &EstimatorConfig,
 ) -> Option<Compared> {
-    let picture = KeyframeImage::new(&frame.color, &frame.camera)?;
+    let mut picture = KeyframeImage::new(&frame.color, &frame.camera)?;
+    picture.vignetting = model.lens.vignetting;
     let tracked = frame.world_from_camera;
     let stride = config.tuning.validation.pixel_stride as usize;
     let veil = Veil::of(&picture, &frame.camera, &context.table, context.clipped);
@@ -111,7 +114,13 @@ pub fn compare(
         view.world_from_camera = rendered.camera.camera_from_world.inverse();
     }
     let (own_color, own_weight) = colors_of_image(context, &picture, &view.world_from_camera);
-    let own = Model { lit_color: &own_color, lit_weight: &own_weight, detail: None, veil_share: 0.0, ..*model };
+    let own = Model {
+        lit_color: &own_color,
+        lit_weight: &own_weight,
+        detail: None,
+        lens: Lens { veil_share: 0.0, ..model.lens },
+        ..*model
+    };
     let lit_psnr_db = psnr(&found);
     let texture = model.detail.map(|_| {
         let vertices = Model { detail: None, ..*model };
@@ -213,8 +222,9 @@ impl<'a> Rendered<'a> {
         let pixel = |(x, y): (usize, usize)| {
             let predicted = predicted(model, &self.at(x, y)?)?;
             let seen = picture.bytes(x, y);
-            let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.veil_share * f64::from(v));
-            Some(Pixel { seen, predicted, veil })
+            let veil = veil.at(x as f64, y as f64).to_array().map(|v| model.lens.veil_share * f64::from(v));
+            let shade = f64::from(picture.vignetting.shade(&picture.camera, x as f64, y as f64));
+            Some(Pixel { seen, predicted, veil, shade })
         };
         rows.par_iter().flat_map_iter(|&y| (0..width).step_by(stride).map(move |x| (x, y))).filter_map(pixel).collect()
     }
@@ -231,7 +241,7 @@ impl<'a> Rendered<'a> {
             let lit = lit(model, &at)?;
             let corners = context.mesh.triangles[at.triangle as usize];
             let point = corners.iter().zip(at.weights).map(|(&i, w)| context.mesh.positions[i as usize] * w).sum();
-            let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
+            let veil = image.veil.at(x as f64, y as f64) * model.lens.veil_share as f32;
             Some(Expected { point, color: (DVec3::from_array(lit).as_vec3() * gain + veil).max(Vec3::ZERO) })
         };
         (0..height).step_by(step).flat_map(|y| (0..width).step_by(step).map(move |x| (x, y))).filter_map(at).collect()
@@ -255,8 +265,10 @@ impl<'a> Rendered<'a> {
                 let lit = lit(model, &at)?;
                 // Photon noise and contrast are alike at all levels in square roots of light.
                 observed[i] = f64::sqrt(bytes.iter().map(|&b| f64::from(context.table[b as usize])).sum());
-                let veil = image.veil.at(x as f64, y as f64) * model.veil_share as f32;
-                rendered[i] = f64::sqrt((0..3).map(|c| (gain[c] * lit[c] + f64::from(veil[c])).max(0.0)).sum());
+                let veil = image.veil.at(x as f64, y as f64) * model.lens.veil_share as f32;
+                let shade = f64::from(image.picture.vignetting.shade(&image.picture.camera, x as f64, y as f64));
+                rendered[i] =
+                    f64::sqrt((0..3).map(|c| (shade * (gain[c] * lit[c] + f64::from(veil[c]))).max(0.0)).sum());
             }
             (depths.1 - depths.0 < context.median_edge).then(|| OctaveEnergy::of(observed, rendered))
         };
@@ -355,7 +367,7 @@ fn gains(pixels: &[Pixel], table: &[f32; 256]) -> [f64; 3] {
         let ratios = pixels
             .iter()
             .filter(|p| p.predicted[c] > 1e-6 && seen(p) > 0.004 && seen(p) < 0.95)
-            .map(|p| (seen(p) - p.veil[c]) / p.predicted[c]);
+            .map(|p| (seen(p) / p.shade - p.veil[c]) / p.predicted[c]);
         median(ratios).unwrap_or(1.0)
     })
 }
@@ -368,7 +380,7 @@ fn psnr(pixels: &[Pixel], table: &[f32; 256]) -> f64 {
     let gain = gains(pixels, table);
     let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
     let seen = table.map(|x| srgb(f64::from(x)));
-    let off = |p: &Pixel, c: usize| srgb(gain[c] * p.predicted[c] + p.veil[c]) - seen[p.seen[c] as usize];
+    let off = |p: &Pixel, c: usize| srgb((gain[c] * p.predicted[c] + p.veil[c]) * p.shade) - seen[p.seen[c] as usize];
     let square: f64 = pixels.iter().flat_map(|p| [0, 1, 2].map(|c| off(p, c).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // 8 bits cannot show less than the variance of their rounding.

@@ -296,6 +296,17 @@ pub enum Decision {
         /// Keyframe, and the share of its light that is glare: median over the surface that it shows.
         glare: Vec<(u32, f64)>,
     },
+    /// How much less light the lens brings to the corners of the pictures than to their middle.
+    Vignetting {
+        /// v: exp(−v) is left in the corners.
+        strength: f64,
+        /// Share of the patches' weight that exposures from the other half do not explain, with even pictures.
+        without: f64,
+        /// The same with the vignetting that the other half tells.
+        with: f64,
+        /// Patches compared.
+        patches: u32,
+    },
 }
 
 /// How the distant light correlates with what half of the keyframes saw beyond the scan. No step uses that; of what the other half

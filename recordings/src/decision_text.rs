@@ -93,6 +93,7 @@ impl Decision {
             Self::Background(_) => "background",
             Self::Division { .. } => "segments",
             Self::Haze { .. } => "glare",
+            Self::Vignetting { .. } => "vignetting",
         }
     }
 
@@ -142,6 +143,9 @@ impl Decision {
             Self::Haze { glare } => {
                 let keyframes: Vec<String> = glare.iter().map(|(k, _)| k.to_string()).collect();
                 format!("left out: keyframes {}", keyframes.join(", "))
+            }
+            Self::Vignetting { strength, .. } => {
+                format!("corners {:.0} % darker", 100.0 * (1.0 - libm::exp(-strength)))
             }
             Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
@@ -297,6 +301,10 @@ impl Decision {
                 let shares: Vec<String> = glare.iter().map(|(_, share)| format!("{share:.2}")).collect();
                 format!("share of glare in the light over the surface that they show: {}", shares.join(", "))
             }
+            Self::Vignetting { without, with, .. } => format!(
+                "disagreement of held-out patches (0 to 1): {without:.4} with even pictures, {with:.4} with the vignetting \
+                 that the others tell"
+            ),
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -330,6 +338,7 @@ impl Decision {
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } | Self::Division { .. } => "2 models compared".into(),
             Self::Haze { glare } => format!("{} pictures", glare.len()),
+            Self::Vignetting { patches, .. } => format!("{patches} patches"),
             Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),
             Self::Background(b) => format!("{} pictures", b.keyframes),
         }
@@ -384,6 +393,7 @@ impl Decision {
             | Self::Materials { .. }
             | Self::NearLight { .. }
             | Self::Division { .. }
+            | Self::Vignetting { .. }
             | Self::LightChroma { .. }
             | Self::Background(_) => String::new(),
             Self::Haze { .. } => "keep lamps and windows out of the picture".into(),
@@ -644,6 +654,16 @@ mod tests {
             line(&haze),
             "glare | left out: keyframes 3, 10 | share of glare in the light over the surface that they show: 0.91, 0.60 | \
              2 pictures | keep lamps and windows out of the picture"
+        );
+    }
+
+    #[test]
+    fn vignetting_is_told_by_what_the_corners_lack() {
+        let vignetting = Decision::Vignetting { strength: 0.2, without: 0.5712, with: 0.4305, patches: 928 };
+        assert_eq!(
+            line(&vignetting),
+            "vignetting | corners 18 % darker | disagreement of held-out patches (0 to 1): 0.5712 with even pictures, 0.4305 \
+             with the vignetting that the others tell | 928 patches | "
         );
     }
 

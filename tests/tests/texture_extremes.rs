@@ -5,7 +5,7 @@
 
 use estimator::association::keyframe_image::KeyframeImage;
 use estimator::association::veil::Veil;
-use estimator::association::{AssociationContext, RefinedView};
+use estimator::association::{AssociationContext, Lens, RefinedView};
 use estimator::rays::RayScene;
 use estimator::texture::albedo::{VertexColors, texture};
 use firmware_config::EstimatorConfig;
@@ -34,7 +34,7 @@ fn textured(scan: &Scan) -> (Option<Texture>, Option<AtlasFigures>) {
     let keyframes: Vec<_> = scan.keyframes.iter().zip(&views).zip(&veils).map(|((k, v), veil)| (k, v, veil)).collect();
     let (grey, weight) = (vec![Vec3::splat(0.5); mesh.positions.len()], vec![1.0; mesh.positions.len()]);
     let colors = VertexColors { with_gloss: &grey, matte: &grey, weight: &weight, albedo: &grey };
-    let (found, decision) = texture(&context, &keyframes, colors, 0.0);
+    let (found, decision) = texture(&context, &keyframes, colors, Lens::default());
     let Decision::Texture { atlas, .. } = decision else { panic!("another decision") };
     assert_eq!(found.is_some(), atlas.is_some());
     (found, atlas)

@@ -14,6 +14,7 @@ use crate::association::pose::PoseRefiner;
 use crate::association::reliability::{reliability, turns};
 use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
+use crate::association::vignetting::Vignetting;
 use firmware_config::Switch;
 use rayon::prelude::*;
 use recordings::types::{Keyframe, Pose};
@@ -27,6 +28,10 @@ pub struct AssociationEffort<'a> {
     /// Called before every round with its number; `false` ends the refinement.
     pub go_on: &'a mut dyn FnMut(u32) -> bool,
 }
+
+/// A change of the vignetting that colours do not show; a larger one asks for them once more, so many times.
+const UNFELT: f64 = 0.01;
+const FREED_AGAIN: u32 = 2;
 
 /// Data association (Eqs. 2–5) until it converges.
 pub fn associate(context: &AssociationContext, keyframes: &[Keyframe], progress: &dyn Progress) -> Association {
@@ -57,12 +62,13 @@ pub fn associate_within(
         image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table, context.clipped))
     };
     let mut veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
-    let problem = ExposureProblem {
+    let mut problem = ExposureProblem {
         mesh: context.mesh,
         median_edge: context.median_edge,
         keyframes: keyframes.len(),
         dark_below: config.dark_below as f32,
         veils: &veils,
+        vignetting: Some(Vignetting::default()),
         tuning: &config.tuning.exposure,
     };
     let mut left_out = LeftOut::default();
@@ -79,6 +85,7 @@ pub fn associate_within(
         let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
         left_out.take(exposures.hazed, &mut images);
+        freed(&mut images, &mut problem, exposures.vignetting);
         let lit = lit_colors(&field, &views); // Eq. (2)
         if !refiner.step(context, &images, &field, &lit, &mut views, round) {
             break;
@@ -86,14 +93,19 @@ pub fn associate_within(
         round += 1;
     }
     let rules = EligibilityRules::new(config, 1.0);
-    let (field, decision) = loop {
+    let mut again = FREED_AGAIN;
+    let (field, decisions) = loop {
         let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
-        let Exposures { gains, decision, hazed } = exposure::solve(&field, &problem, &views, config.exposure);
+        let Exposures { gains, decisions, vignetting, hazed } =
+            exposure::solve(&field, &problem, &views, config.exposure);
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
-        if !left_out.take(hazed, &mut images) {
-            break (field, decision);
+        let is_felt = freed(&mut images, &mut problem, vignetting) > UNFELT && again > 0;
+        again -= u32::from(is_felt);
+        if !left_out.take(hazed, &mut images) && !is_felt {
+            break (field, decisions);
         }
     };
+    let vignetting = problem.vignetting.unwrap_or_default();
     let lit = lit_colors(&field, &views);
     let reliability = reliability(&lit, &context.graph, turns(context, &images, &field, &views));
     progress.stage("association", 1.0);
@@ -107,6 +119,7 @@ pub fn associate_within(
     Association {
         veils,
         veil_share: 0.0,
+        vignetting,
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
         reliability,
         lit_color: lit.color,
@@ -115,8 +128,15 @@ pub fn associate_within(
         views,
         observations,
         offsets: field.offsets,
-        decisions: decision.into_iter().chain(haze).chain([refiner.decision(refine)]).collect(),
+        decisions: decisions.into_iter().chain(haze).chain([refiner.decision(refine)]).collect(),
         dark_below: config.dark_below as f32,
         exposure: config.tuning.exposure.clone(),
     }
+}
+
+/// Frees the pictures of this vignetting from now on; returns by how much it changes.
+fn freed(images: &mut [Option<KeyframeImage>], problem: &mut ExposureProblem, found: Vignetting) -> f64 {
+    let last = problem.vignetting.replace(found).unwrap_or_default();
+    images.iter_mut().flatten().for_each(|i| i.vignetting = found);
+    (found.strength - last.strength).abs()
 }

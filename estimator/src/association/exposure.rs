@@ -9,7 +9,7 @@ use crate::association::haze::{Hazed, hazed};
 use crate::association::light_field::LightField;
 use crate::association::observations::RefinedView;
 use crate::association::veil::Veil;
-use crate::numerics::channels::mean_square;
+use crate::association::vignetting::Vignetting;
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
@@ -25,14 +25,16 @@ const COLOR_GROUPS: usize = 6;
 const CONVERGED_LOG: f64 = 1e-5;
 
 /// Log gains per keyframe and channel: `[keyframe][channel]`.
-type LogGains = Vec<[f64; 3]>;
+pub(super) type LogGains = Vec<[f64; 3]>;
 
 /// What is known of the exposures.
 pub struct Exposures {
     /// Gains g_j, `[keyframe][channel]`: image = gain · radiance, geometric mean 1.
     pub gains: Vec<[f64; 3]>,
-    /// The evidence, if the model was chosen here.
-    pub decision: Option<Decision>,
+    /// The evidence, if the model was chosen here, and that of the vignetting.
+    pub decisions: Vec<Decision>,
+    /// Vignetting of the camera; gains are those without it.
+    pub vignetting: Vignetting,
     /// Keyframes that show more glare than surface.
     pub hazed: Vec<Hazed>,
 }
@@ -45,22 +47,35 @@ pub fn solve(
     choice: ExposureChoice,
 ) -> Exposures {
     let keyframes = problem.keyframes;
-    let neutral = |decision| Exposures { gains: vec![[1.0; 3]; keyframes], decision, hazed: Vec::new() };
+    let neutral = |vignetting, decisions| Exposures {
+        gains: vec![[1.0; 3]; keyframes],
+        decisions,
+        vignetting,
+        hazed: Vec::new(),
+    };
+    let known = problem.vignetting.unwrap_or_default();
     if choice == ExposureChoice::None || keyframes < 2 {
-        return neutral(None);
+        return neutral(known, Vec::new());
     }
-    let patches = patches(field, problem, views);
+    let mut patches = patches(field, problem, views);
     if patches.is_empty() {
-        return neutral(None);
+        return neutral(known, Vec::new());
     }
-    let all: Vec<&Patch> = patches.iter().collect();
     let solver = Solver { keyframes, tuning: problem.tuning };
-    let start = solver.agreed(&all);
+    let start = solver.agreed(&patches.iter().collect::<Vec<_>>());
+    let (vignetting, mut decisions) = match problem.vignetting {
+        Some(known) => {
+            let (found, decision) = solver.vignetting(&mut patches, &start, known);
+            (found, vec![decision])
+        }
+        None => (known, Vec::new()),
+    };
+    let all: Vec<&Patch> = patches.iter().collect();
     let fit = |patches: &[&Patch], rgb: bool| solver.refine(patches, start.clone(), rgb);
-    let (logs, decision) = match choice {
-        ExposureChoice::None => return neutral(None),
-        ExposureChoice::Scalar => (fit(&all, false), None),
-        ExposureChoice::Rgb => (fit(&all, true), None),
+    let logs = match choice {
+        ExposureChoice::None => return neutral(vignetting, decisions),
+        ExposureChoice::Scalar => fit(&all, false),
+        ExposureChoice::Rgb => fit(&all, true),
         ExposureChoice::Auto => {
             // Gains from one half of the patches have to predict the other half.
             let (half, other): (Vec<_>, Vec<_>) = all.iter().enumerate().partition(|(i, _)| i.is_multiple_of(2));
@@ -75,27 +90,27 @@ pub fn solve(
             } else {
                 ExposureModel::Scalar
             };
-            let decision = Decision::Exposure { chosen, none, scalar, rgb, patches: all.len() as u32 };
+            decisions.insert(0, Decision::Exposure { chosen, none, scalar, rgb, patches: all.len() as u32 });
             if chosen == ExposureModel::None {
-                return neutral(Some(decision));
+                return neutral(vignetting, decisions);
             }
-            (fit(&all, chosen == ExposureModel::Rgb), Some(decision))
+            fit(&all, chosen == ExposureModel::Rgb)
         }
     };
     let clipped: Vec<f64> = problem.veils.iter().map(|v| v.as_ref().map_or(0.0, Veil::clipped)).collect();
     let hazed = hazed(&patches, &logs, &clipped);
-    Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decision, hazed }
+    Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decisions, vignetting, hazed }
 }
 
 /// The estimate over patches with known number of keyframes and thresholds.
-struct Solver<'a> {
-    keyframes: usize,
-    tuning: &'a ExposureTuning,
+pub(super) struct Solver<'a> {
+    pub(super) keyframes: usize,
+    pub(super) tuning: &'a ExposureTuning,
 }
 
 impl Solver<'_> {
     /// No gains.
-    fn unit(&self) -> LogGains {
+    pub(super) fn unit(&self) -> LogGains {
         vec![[0.0; 3]; self.keyframes]
     }
 
@@ -120,7 +135,7 @@ impl Solver<'_> {
 
     /// Mean square log deviation up to which a patch agrees: the deviation of a diffuse patch, or that of the better patches
     /// if theirs is larger.
-    fn tolerance(&self, patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+    pub(super) fn tolerance(&self, patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
         let least = self.tuning.diffuse_log * self.tuning.diffuse_log;
         let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
         if spreads.is_empty() {
@@ -131,7 +146,7 @@ impl Solver<'_> {
     }
 
     /// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
-    fn refine(&self, patches: &[&Patch], mut gains: LogGains, rgb: bool) -> LogGains {
+    pub(super) fn refine(&self, patches: &[&Patch], mut gains: LogGains, rgb: bool) -> LogGains {
         for _ in 0..self.tuning.rounds {
             let next = reweighted(patches, &gains, self.tolerance(patches, &gains), rgb);
             let moves = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs());
@@ -167,7 +182,7 @@ fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
 }
 
 /// Share of the patches' weight that the gains do not explain at a tolerance, 0 to 1.
-fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
+pub(super) fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
     for p in patches {
         let (spread, weight) = p.spread(&p.deviations(gains));
@@ -183,19 +198,7 @@ fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool)
     let mut matrix = DMatrix::<f64>::zeros(n, n);
     let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
     for p in patches {
-        let deviations = p.deviations(gains);
-        // A patch whose keyframes disagree (gloss, wrong pose) is unreliable in all of them.
-        let (spread, _) = p.spread(&deviations);
-        let agreement = tolerance / (tolerance + spread);
-        let weights: Vec<f64> = p
-            .weights
-            .iter()
-            .zip(&deviations)
-            .map(|(w, d)| {
-                let x = tolerance / (tolerance + mean_square(d));
-                w * agreement * agreement * x * x
-            })
-            .collect();
+        let weights = p.robust_weights(&p.deviations(gains), tolerance);
         let total: f64 = weights.iter().sum::<f64>().max(1e-12);
         let mean: [f64; 3] =
             std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);
@@ -277,7 +280,8 @@ mod tests {
         let tuning = &ExposureTuning::default();
         let view = RefinedView { world_from_camera: Pose::IDENTITY, gain: [1.0; 3], residual_px: 0.0 };
         let (views, veils) = (vec![view; keyframes], vec![None; keyframes]);
-        let problem = ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, veils: &veils, tuning };
+        let problem =
+            ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, veils: &veils, vignetting: None, tuning };
         solve(field, &problem, &views, choice).gains
     }
 

@@ -3,6 +3,7 @@
 use crate::association::light_field::LightField;
 use crate::association::observations::{Observation, RefinedView};
 use crate::association::veil::Veil;
+use crate::association::vignetting::{Vignetting, off_axis};
 use crate::mesh::cells::{CellVertex, by_cell, groups};
 use crate::numerics::channels::{mean, mean_square};
 use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
@@ -30,6 +31,8 @@ pub struct ExposureProblem<'a> {
     pub dark_below: f32,
     /// Veil of every keyframe: `[keyframe]`.
     pub veils: &'a [Option<Veil>],
+    /// Vignetting that the colours are free of; `None` where it is not asked for.
+    pub vignetting: Option<Vignetting>,
     /// Thresholds.
     pub tuning: &'a ExposureTuning,
 }
@@ -48,6 +51,8 @@ pub struct Patch {
     pub level: f64,
     /// Veil over the patch at a share of 1, mean of the channels: `[keyframe of the patch]`.
     pub veils: Vec<f64>,
+    /// Squared distance from the axis of the lens, ρ²: `[keyframe of the patch]`.
+    pub off_axis: Vec<f64>,
     /// Mean log colour.
     pub color: Vec3,
     /// Main direction of the normal: 2 · axis + (negative).
@@ -101,14 +106,14 @@ impl Patch {
         let center: Vec3 =
             members.iter().map(|m| problem.mesh.positions[m.vertex]).sum::<Vec3>() / members.len() as f32;
         let lights = brightness(&entries, keyframes.len());
-        let veil = |k: &u16| {
-            let over = |v: &Veil| {
-                let veil = v.over(cameras[usize::from(*k)].transform(center.as_dvec3()));
-                f64::from(veil.element_sum()) / 3.0
+        let seen = |k: &u16| {
+            let at = |v: &Veil| {
+                let (x, y) = v.camera.project(cameras[usize::from(*k)].transform(center.as_dvec3()));
+                (f64::from(v.at(x, y).element_sum()) / 3.0, off_axis(&v.camera, x, y))
             };
-            problem.veils[usize::from(*k)].as_ref().map_or(0.0, over)
+            problem.veils[usize::from(*k)].as_ref().map_or((0.0, 0.0), at)
         };
-        let veils: Vec<f64> = keyframes.iter().map(veil).collect();
+        let (veils, off_axis): (Vec<f64>, Vec<f64>) = keyframes.iter().map(seen).unzip();
         let known: Vec<f64> = weights.into_iter().map(|w| w / (w + problem.tuning.half_weight)).collect();
         // A veil of unknown share adds to the picture: its logarithm tells as much less as the veil is more.
         let weight = |((known, light), veil): ((&f64, &f64), &f64)| {
@@ -118,7 +123,7 @@ impl Patch {
         let weights = known.iter().zip(&lights).zip(&veils).map(weight).collect();
         let level = lights.iter().zip(&logs).map(|(light, log)| libm::log(light.max(1e-12)) - mean(log)).sum::<f64>();
         let level = libm::exp(level / keyframes.len() as f64);
-        Some(Self { keyframes, logs, weights, known, level, veils, color, facing: members[0].facing })
+        Some(Self { keyframes, logs, weights, known, level, veils, off_axis, color, facing: members[0].facing })
     }
 
     /// Log deviation of every keyframe of the patch from `gains`, about the patch's weighted median.
@@ -134,6 +139,17 @@ impl Patch {
             weighted_median(&mut values).unwrap_or(0.0)
         });
         relative.iter().map(|r| std::array::from_fn(|c| r[c] - centre[c])).collect()
+    }
+
+    /// Weights of the keyframes by how far their `deviations` agree. A patch whose keyframes disagree (gloss, wrong pose) is unreliable
+    /// in all of them.
+    pub fn robust_weights(&self, deviations: &[[f64; 3]], tolerance: f64) -> Vec<f64> {
+        let agreement = tolerance / (tolerance + self.spread(deviations).0);
+        let weight = |(w, d): (&f64, &[f64; 3])| {
+            let x = tolerance / (tolerance + mean_square(d));
+            w * agreement * agreement * x * x
+        };
+        self.weights.iter().zip(deviations).map(weight).collect()
     }
 
     /// Weighted mean square of the deviations, and the patch's weight.

@@ -1,5 +1,6 @@
 //! A keyframe's image without lens distortion, and linear samples of it.
 
+use crate::association::vignetting::Vignetting;
 use recordings::types::{CameraModel, ColorFrame, Intrinsics};
 
 /// An 8-bit RGB image of an ideal pinhole camera. Pixels outside the distorted image are white and so count as clipped.
@@ -8,6 +9,8 @@ pub struct KeyframeImage {
     pub camera: Intrinsics,
     /// Row-major interleaved RGB: `[3 * width * height]`.
     pub data: Vec<u8>,
+    /// What samples are freed of.
+    pub vignetting: Vignetting,
 }
 
 /// A weighted mean over a small window of an image.
@@ -35,7 +38,7 @@ impl KeyframeImage {
             return None;
         }
         let data = if camera.distortion.is_none() { image.data } else { undistort(&image.data, camera) };
-        Some(Self { camera: k, data })
+        Some(Self { camera: k, data, vignetting: Vignetting::default() })
     }
 
     /// The 8-bit values at a pixel.
@@ -51,7 +54,7 @@ impl KeyframeImage {
     }
 
     /// Mean under a tent filter of half width `radius >= 1` pixels about (u, v); radius 1 is bilinear interpolation.
-    /// `table` maps 8-bit values to linear light. `None` if the window leaves the image.
+    /// `table` maps 8-bit values to linear light, freed of vignetting. `None` if the window leaves the image.
     pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<WindowSample> {
         let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let (left, top) = ((u - radius).ceil(), (v - radius).ceil());
@@ -80,8 +83,9 @@ impl KeyframeImage {
                 squares += weight * weight;
             }
         }
+        let shade = self.vignetting.shade(&self.camera, u, v);
         (total > 0.0).then(|| WindowSample {
-            color: sum.map(|s| s / total),
+            color: sum.map(|s| s / (total * shade)),
             brightest,
             pixels: total * total / squares,
         })

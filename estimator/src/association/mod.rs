@@ -4,7 +4,7 @@
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`], how far they can be trusted:
 //! [`reliability`]; exposures, Eq. (5): [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`], without keyframes that show more glare than surface, [`haze`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
-//! lens's glare in a picture, [`veil_removal`] takes it out of the observations.
+//! lens's glare in a picture, [`veil_removal`] takes it out of the observations. [`vignetting`] is what the corners lack.
 
 pub mod alignment;
 pub mod alternation;
@@ -12,6 +12,7 @@ pub mod context;
 pub mod eligibility;
 pub mod exposure;
 pub mod exposure_patches;
+mod exposure_vignetting;
 pub mod haze;
 pub mod image_filters;
 pub mod keyframe_image;
@@ -29,7 +30,8 @@ pub mod seen_lamps;
 pub mod sharpening;
 pub mod veil;
 pub mod veil_removal;
+pub mod vignetting;
 
 pub use alternation::{AssociationEffort, associate, associate_within};
 pub use context::AssociationContext;
-pub use observations::{Association, Observation, RefinedView};
+pub use observations::{Association, Lens, Observation, RefinedView};

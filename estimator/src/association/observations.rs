@@ -2,6 +2,7 @@
 
 use crate::association::seen_lamps::SeenLamp;
 use crate::association::veil::Veil;
+use crate::association::vignetting::Vignetting;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use recordings::decision::Decision;
@@ -33,6 +34,15 @@ pub struct RefinedView {
     pub residual_px: f64,
 }
 
+/// What a camera and its lens add to the pictures.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Lens {
+    /// Share of veiling glare that the colours of the vertices are free of.
+    pub veil_share: f64,
+    /// Vignetting that they are free of.
+    pub vignetting: Vignetting,
+}
+
 /// The surface light field and the values estimated from it.
 #[derive(Clone)]
 pub struct Association {
@@ -54,6 +64,8 @@ pub struct Association {
     pub veils: Vec<Option<Veil>>,
     /// Share of the veil that the colours were freed of.
     pub veil_share: f64,
+    /// Vignetting that the colours were freed of.
+    pub vignetting: Vignetting,
     /// Lamps that the pictures show in the air.
     pub seen_lamps: Vec<SeenLamp>,
     /// Exposure model and pose refinement, with their evidence.
@@ -62,6 +74,14 @@ pub struct Association {
     pub dark_below: f32,
     /// Thresholds of the exposure estimate.
     pub exposure: ExposureTuning,
+}
+
+impl Association {
+    /// What the colours are free of.
+    #[must_use]
+    pub fn lens(&self) -> Lens {
+        Lens { veil_share: self.veil_share, vignetting: self.vignetting }
+    }
 }
 
 /// Vertices with observations, all of which are clipped. Rows of `observations` start at `offsets`, `[vertex + 1]`.

@@ -1,6 +1,6 @@
 //! Pose refinement: all keyframes against common lit colours, each against colours without its own observations.
 
-use crate::association::alignment::{Alignment, ExpectedMotion, Motion, PoseDeviation, align};
+use crate::association::alignment::{Alignment, ExpectedMotion, Motion, PoseDeviation, align, pose_of};
 use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
@@ -97,10 +97,19 @@ impl PoseRefiner {
                 total
             })
             .collect();
+        // Each keyframe follows where the others were, and what tracking expects of it holds it back: steps on the finest level shrink by
+        // a fixed share only.
+        let is_slow = context.poses_are_tracked && levels == [1.0];
+        let is_steady = is_slow && self.history.last_chunk::<2>().is_none_or(|[one, next]| next <= one);
         let (mut squares, mut before, mut after, mut count) = (0.0, 0.0, 0.0, 0.0);
         let mut moved_px = [Vec::new(), Vec::new()];
         for (j, alignment) in alignments.into_iter().enumerate() {
-            let Some(a) = alignment else { continue };
+            let Some(mut a) = alignment else { continue };
+            if is_steady {
+                let more = (a.moved - self.moved[j]) * (context.config.tuning.pose.over_relaxation - 1.0);
+                a.pose = a.pose.compose(&pose_of(&more).inverse());
+                a.moved += more;
+            }
             views[j].world_from_camera = a.pose;
             views[j].residual_px = a.step_px;
             self.moved[j] = a.moved;

@@ -22,7 +22,7 @@ pub struct ImageLevel {
 }
 
 impl ImageLevel {
-    /// Averages `1/level × 1/level` pixels into one (`level` 1, 1/2 or 1/4).
+    /// Averages, freed of vignetting, `1/level × 1/level` pixels into one (`level` 1, 1/2 or 1/4).
     pub fn new(image: &KeyframeImage, context: &AssociationContext, level: f64) -> Self {
         let camera = scaled(&image.camera, level);
         let step = (1.0 / level).round() as usize;
@@ -41,7 +41,9 @@ impl ImageLevel {
                         sum += light(image.bytes(x * step + dx, y * step + dy));
                     }
                 }
-                linear[y * w + x] = sum / (step * step) as f32;
+                let middle = |x: usize| (x * step) as f64 + 0.5 * (step - 1) as f64;
+                let shade = image.vignetting.shade(&image.camera, middle(x), middle(y));
+                linear[y * w + x] = sum / ((step * step) as f32 * shade);
             }
         }
         let mut color = binomial(&linear, w, h);

@@ -41,6 +41,7 @@ impl Association {
             keyframes: self.views.len(),
             dark_below: self.dark_below,
             veils: &self.veils,
+            vignetting: None,
             tuning: &self.exposure,
         };
         let new = exposure::solve(&field, &problem, &self.views, choice).gains;

@@ -98,6 +98,7 @@ fn value(response: &Response, linear: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::association::observations::RefinedView;
+    use crate::association::vignetting::Vignetting;
     use firmware_config::tuning::ExposureTuning;
     use glam::Vec3;
     use recordings::types::Pose;
@@ -136,6 +137,7 @@ mod tests {
         Association {
             veils: Vec::new(),
             veil_share: 0.0,
+            vignetting: Vignetting::default(),
             seen_lamps: Vec::new(),
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],

@@ -258,6 +258,7 @@ impl Region {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::vignetting::Vignetting;
     use glam::DQuat;
     use recordings::types::{Intrinsics, Mesh};
 
@@ -279,7 +280,7 @@ mod tests {
             data.extend([if hits { 255 } else { 90 }; 3]);
         }
         let world_from_camera = Pose { rotation, translation: origin };
-        (KeyframeImage { camera, data }, world_from_camera)
+        (KeyframeImage { camera, data, vignetting: Vignetting::default() }, world_from_camera)
     }
 
     fn found(balls: impl Fn(usize) -> Vec<DVec3>, floor_z: f32) -> Vec<SeenLamp> {

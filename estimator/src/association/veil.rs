@@ -20,7 +20,8 @@ const LEAST_LEFT: f32 = 0.05;
 #[derive(Debug, Clone)]
 pub struct Veil {
     cells: Vec<Vec3>,
-    camera: Intrinsics,
+    /// The undistorted picture's camera.
+    pub camera: Intrinsics,
     clipped: f64,
 }
 
@@ -108,6 +109,7 @@ pub fn without(color: Vec3, veil: Vec3) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::vignetting::Vignetting;
     use recordings::types::Distortion;
 
     /// A picture of `width` × `height` pixels; `white` tells which are white.
@@ -118,7 +120,7 @@ mod tests {
         let data = pixels.flat_map(|(x, y)| [if white(x, y) { 255 } else { 0 }; 3]).collect();
         let table = std::array::from_fn(|i| i as f32 / 255.0);
         Veil::of(
-            &KeyframeImage { camera, data },
+            &KeyframeImage { camera, data, vignetting: Vignetting::default() },
             &CameraModel { intrinsics: camera, distortion: Distortion::NONE },
             &table,
             250,

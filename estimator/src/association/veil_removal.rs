@@ -77,6 +77,7 @@ mod tests {
     use super::*;
     use crate::association::keyframe_image::KeyframeImage;
     use crate::association::veil::Veil;
+    use crate::association::vignetting::Vignetting;
     use recordings::types::{CameraModel, Distortion, Intrinsics};
 
     /// The veil of a picture whose right quarter is white.
@@ -86,7 +87,7 @@ mod tests {
         let data = (0..width * height).flat_map(|i| [if i % width >= 120 { 255 } else { 0 }; 3]).collect();
         let table = std::array::from_fn(|i| i as f32 / 255.0);
         let lens = CameraModel { intrinsics: camera, distortion: Distortion::NONE };
-        Veil::of(&KeyframeImage { camera, data }, &lens, &table, 250)
+        Veil::of(&KeyframeImage { camera, data, vignetting: Vignetting::default() }, &lens, &table, 250)
     }
 
     #[test]
@@ -112,6 +113,7 @@ mod tests {
             offsets: vec![0, 1],
             veils: vec![Some(veil)],
             veil_share: 0.0,
+            vignetting: Vignetting::default(),
             seen_lamps: Vec::new(),
             decisions: Vec::new(),
             dark_below: 0.0,

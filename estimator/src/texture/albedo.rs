@@ -1,7 +1,7 @@
 //! The albedo texture: radiance of the texels, less gloss, over the light at the vertices.
 
-use crate::association::AssociationContext;
 use crate::association::sharpening::sharper;
+use crate::association::{AssociationContext, Lens};
 use crate::export::picture::encode_jpeg;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
 use crate::texture::mutual::register_views;
@@ -44,15 +44,15 @@ pub struct VertexColors<'a> {
     pub albedo: &'a [Vec3],
 }
 
-/// A texture, and how it was decided. `veil_share` is the share of veiling glare that the colours of the vertices are free of.
+/// A texture, and how it was decided. `lens` is what the colours of the vertices are free of.
 #[must_use]
 pub fn texture(
     context: &AssociationContext,
     keyframes: &[PosedKeyframe],
     colors: VertexColors,
-    veil_share: f64,
+    lens: Lens,
 ) -> (Option<Texture>, Decision) {
-    let (tuning, mut views) = (&context.config.tuning.texture, views(context, keyframes, veil_share));
+    let (tuning, mut views) = (&context.config.tuning.texture, views(context, keyframes, lens));
     let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
     let Some(footprint) = footprint(context, &views) else { return none(0.0) };
     let wanted = match context.config.texture {

@@ -172,6 +172,7 @@ impl Problem<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::vignetting::Vignetting;
     use crate::rays::RayScene;
     use firmware_config::EstimatorConfig;
     use recordings::types::{Intrinsics, Mesh, Pose, Response};
@@ -209,7 +210,7 @@ mod tests {
         let pixels = (0..CAMERA.height).flat_map(|y| (0..CAMERA.width).map(move |x| (f64::from(x), f64::from(y))));
         let byte = |c: f32| Response::Srgb.encode(c);
         let data = pixels.flat_map(|(u, v)| print(behind(truth, u, v)).to_array().map(byte)).collect();
-        let image = KeyframeImage { camera: CAMERA, data };
+        let image = KeyframeImage { camera: CAMERA, data, vignetting: Vignetting::default() };
         let given = MovingCamera::still(&Pose::IDENTITY, &CAMERA);
         let points = (0..60 * 44).map(|i| behind(&given, f64::from(20 + 2 * (i % 60)), f64::from(16 + 2 * (i / 60))));
         let expected: Vec<Expected> = points.map(|point| Expected { point, color: print(point) }).collect();

@@ -3,7 +3,7 @@
 use crate::association::keyframe_image::{KeyframeImage, distorted};
 use crate::association::moving_camera::MovingCamera;
 use crate::association::veil::{self, Veil};
-use crate::association::{AssociationContext, RefinedView};
+use crate::association::{AssociationContext, Lens, RefinedView};
 use crate::mesh::raster::Raster;
 use crate::texture::registration::{Expected, register};
 use glam::Vec3;
@@ -49,18 +49,19 @@ pub struct ViewSample {
 /// A keyframe, its pose and exposure, and its veil if its picture can be decoded.
 pub type PosedKeyframe<'a> = (&'a Keyframe, &'a RefinedView, &'a Option<Veil>);
 
-/// The keyframes whose pictures can be decoded, freed of this share of veiling glare.
+/// The keyframes whose pictures can be decoded, freed of what the lens does to them.
 #[must_use]
-pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], veil_share: f64) -> Vec<TextureView> {
+pub fn views(context: &AssociationContext, keyframes: &[PosedKeyframe], lens: Lens) -> Vec<TextureView> {
     let view = |&(keyframe, view, veil): &PosedKeyframe| {
-        let image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
+        let mut image = KeyframeImage::new(&keyframe.color, &keyframe.camera)?;
+        image.vignetting = lens.vignetting;
         let camera = MovingCamera::still(&view.world_from_camera, &image.camera);
         Some(TextureView {
             lens: keyframe.camera,
             center: view.world_from_camera.translation.as_vec3(),
             exposure: Vec3::from_array(view.gain.map(|g| (1.0 / g) as f32)),
             veil: veil.clone()?,
-            veil_share: veil_share as f32,
+            veil_share: lens.veil_share as f32,
             depth: depth(context, &camera),
             camera,
             focal: image.camera.focal(),

@@ -11,6 +11,8 @@ section! {
         settled_px: f64 = 0.01, [0.0..=10.0], "px", "";
         /// A smaller RMS step over all keyframes ends the refinement. Source: measured on the rendered scenes.
         converged_px: f64 = 0.05, [0.0..=10.0], "px", "";
+        /// Steps of tracked keyframes on the finest level are this many times as long as each alone asks for, while they shrink. Source: measured on recordings and generated scenes.
+        over_relaxation: f64 = 1.3, [1.0..=1.9], "", "";
         /// Pixels that count as one independent observation: errors of neighbouring pixels are correlated. Source: measured on the rendered scenes.
         pixels_per_observation: f64 = 25.0, [1.0..=1e6], "px", "";
         /// Standard deviation of the given poses, which the prior assumes. Source: tracking errors on recordings.
