@@ -128,7 +128,10 @@ impl NonNegative<'_> {
         system[(dim, dim)] = held.len() as f64 - count as f64;
         right[dim] = divided.dot(&known);
         let found = system.lu().solve(&right)?;
-        Some((found.rows(0, dim).into_owned(), found[dim]))
+        let mut z = found.rows(0, dim).into_owned();
+        // Rounding leaves none of them below zero.
+        (k..dim).zip(&free.bounds).for_each(|(j, bound)| z[j] = bound.unwrap_or(z[j]));
+        Some((z, found[dim]))
     }
 
     /// The bound that entry `j`, no coefficient, is held at next; `None` where it is free.
