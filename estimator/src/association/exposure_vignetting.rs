@@ -3,6 +3,7 @@
 use crate::association::exposure::{LogGains, Solver, disagreement};
 use crate::association::exposure_patches::Patch;
 use crate::association::vignetting::Vignetting;
+use crate::numerics::channels::mean;
 use recordings::decision::Decision;
 
 /// v is found when it moves by less.
@@ -21,10 +22,10 @@ impl Solver<'_> {
         start: &LogGains,
         known: Vignetting,
     ) -> (Vignetting, Decision) {
-        let fit = |patches: &mut [Patch], first: usize, step: usize| {
+        let fit = |patches: &mut [Patch], step: usize| {
             let (mut gains, mut strength) = (start.clone(), known.strength);
             for _ in 0..TURNS {
-                let used: Vec<&Patch> = patches.iter().skip(first).step_by(step).collect();
+                let used: Vec<&Patch> = patches.iter().step_by(step).collect();
                 gains = self.refine(&used, gains, false);
                 let more = self.slope(&used, &gains);
                 strength += more;
@@ -35,7 +36,7 @@ impl Solver<'_> {
             }
             (gains, strength)
         };
-        let (gains, strength) = fit(patches, 0, 2);
+        let (gains, strength) = fit(patches, 2);
         let judged = |patches: &[Patch], gains: &LogGains| {
             let other: Vec<&Patch> = patches.iter().skip(1).step_by(2).collect();
             disagreement(&other, gains, self.tolerance(&other, start))
@@ -49,7 +50,7 @@ impl Solver<'_> {
         let mut found = Vignetting::default();
         if is_told(strength) && with < self.tuning.vignetting_disagreement * without {
             brighten(patches, known.strength);
-            let (_, strength) = fit(patches, 0, 1);
+            let (_, strength) = fit(patches, 1);
             if is_told(strength) {
                 found = Vignetting { strength };
             } else {
@@ -68,8 +69,7 @@ impl Solver<'_> {
             let deviations = p.deviations(gains);
             let weights = p.robust_weights(&deviations, tolerance);
             let total = weights.iter().sum::<f64>().max(1e-12);
-            let rows =
-                || p.off_axis.iter().zip(&deviations).map(|(x, d)| (*x, d.iter().sum::<f64>() / 3.0)).zip(&weights);
+            let rows = || p.off_axis.iter().zip(&deviations).map(|(x, d)| (*x, mean(d))).zip(&weights);
             let (x, y) = rows().fold((0.0, 0.0), |(x, y), ((dx, dy), w)| (x + w * dx / total, y + w * dy / total));
             for ((dx, dy), w) in rows() {
                 cross -= w * (dx - x) * (dy - y);

@@ -14,6 +14,10 @@ impl Vignetting {
     /// exp(−v ρ²) at a pixel.
     #[must_use]
     pub fn shade(&self, camera: &Intrinsics, u: f64, v: f64) -> f32 {
+        // Most cameras have none, and every pixel asks.
+        if self.strength == 0.0 {
+            return 1.0;
+        }
         libm::expf(-(self.strength * off_axis(camera, u, v)) as f32)
     }
 }

@@ -82,7 +82,7 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        self.best_of(&places, step, SOLVED, SOLVED).into_iter().map(|(_, place)| place).collect()
+        self.best_of(&places, step, SOLVED, SOLVED)
     }
 
     /// Unit vectors from the scene towards the best lamps at infinity; none where no lamp explains anything.
@@ -94,11 +94,11 @@ impl<'a> Search<'a> {
             sh::even_directions(DIRECTIONS).iter().map(|d| middle + d.as_vec3() * distance).collect();
         let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
         let refined = self.best_of(&places, Vec3::splat(apart * distance), DIRECTIONS_SOLVED, DIRECTIONS_REFINED);
-        refined.into_iter().map(|(_, place)| (place - middle).normalize_or_zero()).collect()
+        refined.into_iter().map(|place| (place - middle).normalize_or_zero()).collect()
     }
 
-    /// The best of these places, `step` apart, so many of them solved and the best of those refined, with what each leaves.
-    fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, refined: usize) -> Vec<(f64, Vec3)> {
+    /// The best of these places, `step` apart, so many of them solved and the best of those refined.
+    fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, refined: usize) -> Vec<Vec3> {
         let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
@@ -210,7 +210,7 @@ impl<'a> Search<'a> {
     }
 
     /// Nelder and Mead's simplex, from a place of the lattice.
-    fn refined(&self, from: (f64, Vec3), step: f32) -> (f64, Vec3) {
+    fn refined(&self, from: (f64, Vec3), step: f32) -> Vec3 {
         let cost = |place: Vec3| (self.cost(place), place);
         let mut simplex = vec![from];
         simplex
@@ -246,6 +246,6 @@ impl<'a> Search<'a> {
             }
         }
         simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
-        simplex[0]
+        simplex[0].1
     }
 }

@@ -28,8 +28,11 @@ impl Choice<'_> {
         let places = self.search(&[], &[]).best_directions();
         // Cheap models first: the factorisation takes longer than all of the search.
         let solved = |direction: Vec3| self.solved(&[], &[self.at_infinity(direction)], REGULARISATION);
-        let with = least_held_out(places.into_par_iter().map(solved).collect())?;
-        let without = self.solved(&[], &[], REGULARISATION);
+        let (without, with) = rayon::join(
+            || self.solved(&[], &[], REGULARISATION),
+            || least_held_out(places.into_par_iter().map(solved).collect()),
+        );
+        let with = with?;
         if !is_better(&with.blocks, &without.blocks) {
             return None;
         }
