@@ -55,7 +55,8 @@ pub fn align(
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
     let target = ImageLevel::new(image, context, level);
-    let pixels = edge_pixels(&PredictedImage::new(context, &target, colors, view), tuning.min_edge_strength as f32);
+    let predicted = PredictedImage::new(context, &target, colors, view);
+    let (pixels, every) = edge_pixels(&predicted, tuning.min_edge_strength as f32, tuning.edge_pixels as usize);
     if pixels.len() < tuning.min_edge_pixels as usize {
         return None;
     }
@@ -65,7 +66,9 @@ pub fn align(
         let sigma = expected.held.map_or(given, |h| given.min(if r < 3 { h.rotation } else { h.translation }));
         1.0 / (sigma * sigma)
     });
-    let problem = Problem { target, pixels, prior, common: expected.common, held: expected.held.is_some(), tuning };
+    let observations = every as f64 / tuning.pixels_per_observation;
+    let held = expected.held.is_some();
+    let problem = Problem { target, pixels, observations, prior, common: expected.common, held, tuning };
     let (mut delta, mut moved_now) = (Pose::IDENTITY, *moved);
     let mut now = problem.compared(&delta);
     let scale = problem.robust_scale(&now.residuals)?;
@@ -158,27 +161,32 @@ struct EdgePixel {
     color: Vec3,
 }
 
-fn edge_pixels(predicted: &PredictedImage, min_strength: f32) -> Vec<EdgePixel> {
+/// Edge pixels of a predicted image, and how many of them each of those stands for: no more than twice `most`, evenly chosen.
+fn edge_pixels(predicted: &PredictedImage, min_strength: f32, most: usize) -> (Vec<EdgePixel>, usize) {
     let (w, h) = (predicted.width, predicted.height);
-    let mut pixels = Vec::new();
+    let gradient = |i: usize| {
+        let du = 0.5 * (predicted.color[i + 1] - predicted.color[i - 1]);
+        let dv = 0.5 * (predicted.color[i + w] - predicted.color[i - w]);
+        (du, dv)
+    };
+    let mut edges = Vec::new();
     for y in 1..h.saturating_sub(1) {
-        for x in 1..w.saturating_sub(1) {
-            let i = y * w + x;
-            let du = 0.5 * (predicted.color[i + 1] - predicted.color[i - 1]);
-            let dv = 0.5 * (predicted.color[i + w] - predicted.color[i - w]);
-            let strength = du.length_squared() + dv.length_squared();
-            let depth = predicted.depth[i];
+        for i in y * w + 1..(y * w + w).saturating_sub(1) {
+            let (du, dv) = gradient(i);
             // Written so that NaN fails too.
-            if !(strength > min_strength && depth.is_finite()) {
-                continue;
+            if du.length_squared() + dv.length_squared() > min_strength && predicted.depth[i].is_finite() {
+                edges.push(i);
             }
-            let k = &predicted.camera;
-            let z = f64::from(depth);
-            let point = DVec3::new((x as f64 - k.cx) / k.fx * z, (y as f64 - k.cy) / k.fy * z, z);
-            pixels.push(EdgePixel { point, du, dv, color: predicted.color[i] });
         }
     }
-    pixels
+    let every = (edges.len() / most).max(1);
+    let pixel = |i: usize| {
+        let (k, z) = (&predicted.camera, f64::from(predicted.depth[i]));
+        let point = DVec3::new(((i % w) as f64 - k.cx) / k.fx * z, ((i / w) as f64 - k.cy) / k.fy * z, z);
+        let (du, dv) = gradient(i);
+        EdgePixel { point, du, dv, color: predicted.color[i] }
+    };
+    (edges.into_iter().step_by(every).map(pixel).collect(), every)
 }
 
 /// The edge pixels under one pose.
@@ -203,6 +211,8 @@ struct Seen {
 struct Problem<'a> {
     target: ImageLevel,
     pixels: Vec<EdgePixel>,
+    /// Independent observations that a pixel counts as: errors of neighbouring ones are correlated, and it may stand for several.
+    observations: f64,
     /// Information of the prior on the total motion, per unknown.
     prior: Motion,
     /// Mean of the prior.
@@ -250,7 +260,7 @@ impl Problem<'_> {
             return loss;
         }
         // The loss of a pixel, over three channels, is TUKEY² / 6 · 3 of the quadratic form's units at most.
-        let unit = self.pixels.len() as f64 * TUKEY * TUKEY / (2.0 * self.tuning.pixels_per_observation);
+        let unit = self.pixels.len() as f64 * self.observations * TUKEY * TUKEY / 2.0;
         let off = moved - self.common;
         loss + 0.5 * self.prior.component_mul(&off).dot(&off) / unit
     }
@@ -262,8 +272,7 @@ impl Problem<'_> {
         let matrix = |columns: [Row; 6]| Matrix6::from_fn(|r, c| columns[c][r]);
         let (mut hessian, motion) = (matrix(sums.hessian), matrix(sums.motion));
         let mut gradient = Motion::from_fn(|r, _| sums.gradient[r]);
-        // Residuals of neighbouring pixels are correlated.
-        let information = 1.0 / (scale * scale * self.tuning.pixels_per_observation);
+        let information = self.observations / (scale * scale);
         hessian *= information;
         gradient *= information;
         hessian += Matrix6::from_diagonal(&self.prior);

@@ -15,6 +15,8 @@ section! {
         over_relaxation: f64 = 1.3, [1.0..=1.9], "", "";
         /// Pixels that count as one independent observation: errors of neighbouring pixels are correlated. Source: measured on the rendered scenes.
         pixels_per_observation: f64 = 25.0, [1.0..=1e6], "px", "";
+        /// Edge pixels that are compared at a pyramid level, evenly chosen among those that there are; less than twice as many where those are no multiple. Source: measured on recordings and generated scenes.
+        edge_pixels: u32 = 40000, [1000..=100000000], "", "";
         /// Standard deviation of the given poses, which the prior assumes. Source: tracking errors on recordings.
         prior_px: f64 = 5.0, [1e-3..=1e6], "px", "";
         /// Standard deviation of tracked poses about the motion that all of them have in common. Source: measured on generated recordings.
