@@ -69,6 +69,7 @@ pub fn associate_within(
         dark_below: config.dark_below as f32,
         veils: &veils,
         vignetting: Some(Vignetting::default()),
+        nearly: false,
         tuning: &config.tuning.exposure,
     };
     let mut left_out = LeftOut::default();
@@ -84,6 +85,7 @@ pub fn associate_within(
         let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
         let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
+        problem.nearly = views.iter().any(|v| v.gain != [1.0; 3]);
         left_out.take(exposures.hazed, &mut images);
         freed(&mut images, &mut problem, exposures.vignetting);
         let lit = lit_colors(&field, &views); // Eq. (2)
@@ -94,6 +96,8 @@ pub fn associate_within(
     }
     let rules = EligibilityRules::new(config, 1.0);
     let mut again = FREED_AGAIN;
+    // Gains that were found at poses which were off may be far from right.
+    problem.nearly = false;
     let (field, decisions) = loop {
         let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
         let Exposures { gains, decisions, vignetting, hazed } =

@@ -62,7 +62,11 @@ pub fn solve(
         return neutral(known, Vec::new());
     }
     let solver = Solver { keyframes, tuning: problem.tuning };
-    let start = solver.agreed(&patches.iter().collect::<Vec<_>>());
+    let start = if problem.nearly {
+        views.iter().map(|v| v.gain.map(libm::log)).collect()
+    } else {
+        solver.agreed(&patches.iter().collect::<Vec<_>>())
+    };
     let (vignetting, mut decisions) = match problem.vignetting {
         Some(known) => {
             let (found, decision) = solver.vignetting(&mut patches, &start, known);
@@ -280,8 +284,16 @@ mod tests {
         let tuning = &ExposureTuning::default();
         let view = RefinedView { world_from_camera: Pose::IDENTITY, gain: [1.0; 3], residual_px: 0.0 };
         let (views, veils) = (vec![view; keyframes], vec![None; keyframes]);
-        let problem =
-            ExposureProblem { mesh, median_edge: 1.0, keyframes, dark_below, veils: &veils, vignetting: None, tuning };
+        let problem = ExposureProblem {
+            mesh,
+            median_edge: 1.0,
+            keyframes,
+            dark_below,
+            veils: &veils,
+            vignetting: None,
+            nearly: false,
+            tuning,
+        };
         solve(field, &problem, &views, choice).gains
     }
 

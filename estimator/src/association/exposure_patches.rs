@@ -33,6 +33,8 @@ pub struct ExposureProblem<'a> {
     pub veils: &'a [Option<Veil>],
     /// Vignetting that the colours are free of; `None` where it is not asked for.
     pub vignetting: Option<Vignetting>,
+    /// The gains of the views are nearly right: no others are searched to start from.
+    pub nearly: bool,
     /// Thresholds.
     pub tuning: &'a ExposureTuning,
 }

@@ -42,6 +42,7 @@ impl Association {
             dark_below: self.dark_below,
             veils: &self.veils,
             vignetting: None,
+            nearly: false,
             tuning: &self.exposure,
         };
         let new = exposure::solve(&field, &problem, &self.views, choice).gains;
