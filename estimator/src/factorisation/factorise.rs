@@ -61,6 +61,13 @@ impl Factorised {
         }
     }
 
+    /// Albedo per vertex from other lit colours under the same light.
+    pub fn detail_of(&mut self, colors: &Colors, tuning: &FactorisationTuning) {
+        let errors = self.transfer.traced.relative_errors();
+        let evidence = Evidence::new(colors, &self.irradiance, &errors);
+        self.detail = albedo::detail(&evidence, &self.solution.albedo, tuning);
+    }
+
     /// Exchanges the light. Paint shows what it showed: as far as a vertex differs from its segment by paint, its albedo makes up
     /// for the change of its irradiance.
     pub fn exchange(&mut self, solution: Solution) {

@@ -18,6 +18,9 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
+/// A pass that lowers the error by a smaller share is the last.
+const WORTHWHILE: f64 = 0.01;
+
 /// The surface whose gloss is fitted.
 #[derive(Clone, Copy)]
 pub struct Surface<'a> {
@@ -48,7 +51,6 @@ pub struct Refitted {
 /// A factorisation with gloss removed from the lit colours.
 struct Cleaned<'a> {
     found: Factorised,
-    lit_color: Vec<Vec3>,
     gloss: Vec<Gloss>,
     prediction: Prediction,
     options: FactorisationOptions<'a>,
@@ -87,10 +89,12 @@ pub fn refit(
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
     let mut decisions = vec![decision(Some(without), errors)];
-    let best = refitter.more_bands(best, &mut decisions);
-    fields.lit_color = best.lit_color;
-    let albedo = &best.found.solution.albedo;
-    let gloss = material::pooled(surface.graph, surface.segment, albedo, &best.gloss, tuning);
+    let mut best = refitter.more_bands(best, &mut decisions);
+    let gloss = material::pooled(surface.graph, surface.segment, &best.found.solution.albedo, &best.gloss, tuning);
+    // Once more: what is taken out is what the result has.
+    let lit_color = clean(&surface.reflection(&best.found), &rays, fields, surface.segment, &gloss, tuning);
+    best.found.detail_of(&surface.colors(&lit_color, fields), options.tuning);
+    fields.lit_color = lit_color;
     Refitted { found: best.found, gloss, decisions }
 }
 
@@ -159,14 +163,15 @@ impl Refitter<'_> {
     fn cleaned<'o>(&self, from: &Factorised, gloss: &[Gloss], options: FactorisationOptions<'o>) -> Cleaned<'o> {
         let Self { surface, rays, fields, tuning } = *self;
         let lit_color = clean(&surface.reflection(from), rays, fields, surface.segment, gloss, tuning);
-        // With more bands the regularisation weight is chosen again.
-        let same_bands = from.solution.bands() == options.bands;
-        let start = same_bands.then(|| from.start());
+        // With more bands than choose it the regularisation weight stays.
+        let bands = from.solution.bands();
+        let is_chosen = bands == options.bands || bands >= options.tuning.regularisation_bands as usize;
+        let start = is_chosen.then(|| from.start());
         let colors = surface.colors(&lit_color, fields);
         let found = factorise(Arc::clone(&from.transfer.traced), &colors, &options, start);
         let gloss = fit(&surface.reflection(&found), rays, fields, surface.segment, surface.segments, tuning);
         let prediction = self.predict(&found, &gloss);
-        Cleaned { found, lit_color, gloss, prediction, options }
+        Cleaned { found, gloss, prediction, options }
     }
 
     /// Cleans and factorises again while the prediction improves. Returns the error of each trial.
@@ -175,10 +180,13 @@ impl Refitter<'_> {
         for _ in 1..self.tuning.max_passes {
             let trial = self.cleaned(&best.found, &best.gloss, best.options);
             errors.push(trial.prediction.error());
-            if trial.prediction.error() >= best.prediction.error() {
+            let (before, after) = (best.prediction.error(), trial.prediction.error());
+            if after < before {
+                *best = trial;
+            }
+            if after > before * (1.0 - WORTHWHILE) {
                 break;
             }
-            *best = trial;
         }
         errors
     }
