@@ -54,12 +54,16 @@ pub fn texture(
 ) -> (Option<Texture>, Decision) {
     let (tuning, mut views) = (&context.config.tuning.texture, views(context, keyframes, lens));
     let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
-    let Some(footprint) = footprint(context, &views) else { return none(0.0) };
+    let Some(footprint) = footprint(context, &views) else {
+        return none(0.0);
+    };
     let wanted = match context.config.texture {
         TextureChoice::Texel(mm) => 1e-3 * mm as f32,
         _ => footprint * tuning.texel_px as f32,
     };
-    let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
+    let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else {
+        return none(f64::from(footprint));
+    };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
     let (blurred, seen) = texels(context, &views, &atlas, colors);
@@ -110,6 +114,7 @@ fn texels(
     colors: VertexColors,
 ) -> (Vec<Vec3>, Vec<bool>) {
     let (width, mesh) = (atlas.width as usize, context.mesh);
+    let shown = shown(context, views);
     let power = context.config.tuning.texture.weight_power as f32;
     let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
     let mut seen = vec![false; atlas.owner.len()];
@@ -125,7 +130,9 @@ fn texels(
             let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
             let mut albedo = mix(colors.albedo, near);
             samples.clear();
-            samples.extend(views.iter().filter_map(|v| v.sample(context, point, normal, atlas.texel)));
+            let shows = |(_, shown): &(&TextureView, &Vec<bool>)| corners.iter().any(|&i| shown[i as usize]);
+            let sample = |(view, _): (&TextureView, _)| view.sample(context, point, normal, atlas.texel);
+            samples.extend(views.iter().zip(&shown).filter(shows).filter_map(sample));
             if let Some(radiance) = blend(&mut samples, power) {
                 seen[x] = true;
                 if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
@@ -138,6 +145,13 @@ fn texels(
         }
     });
     (texels, seen)
+}
+
+/// Which vertices the keyframes show: `[keyframe][vertex]`. A keyframe that shows no corner of a triangle is not asked for its texels.
+fn shown(context: &AssociationContext, views: &[TextureView]) -> Vec<Vec<bool>> {
+    let vertices = || context.mesh.positions.par_iter().zip(&context.mesh.normals);
+    let of_view = |view: &TextureView| vertices().map(|(p, n)| view.visible(context, *p, *n).is_some()).collect();
+    views.iter().map(of_view).collect()
 }
 
 /// Texels that keyframes show without the blur of lens and pixels as wide as `footprint`, within their charts.

@@ -33,6 +33,21 @@ pub struct TextureView {
     focal: f64,
 }
 
+/// Where a keyframe shows a point.
+#[derive(Debug, Clone, Copy)]
+pub struct Visible {
+    /// Column of the picture.
+    u: f64,
+    /// Row of the picture.
+    v: f64,
+    /// Distance from the picture's border, pixels.
+    border: f64,
+    /// Width of a pixel at the point, in the mesh's units.
+    footprint: f64,
+    /// Of the angle between normal and view.
+    cosine: f32,
+}
+
 /// What a keyframe shows of a point.
 #[derive(Debug, Clone, Copy)]
 pub struct ViewSample {
@@ -97,6 +112,25 @@ impl TextureView {
     /// hidden, outside the picture, or seen from behind.
     #[must_use]
     pub fn sample(&self, context: &AssociationContext, point: Vec3, normal: Vec3, texel: f32) -> Option<ViewSample> {
+        let Visible { u, v, border, footprint, cosine } = self.visible(context, point, normal)?;
+        let radius = (f64::from(texel) / footprint).clamp(1.0, MAX_RADIUS_PX);
+        let sample = self.image.sample(&context.table, u, v, radius)?;
+        let clipped = sample.brightest >= context.clipped;
+        // Beyond the lens the undistorted picture is white.
+        if clipped && distorted(&self.lens, u.round() as usize, v.round() as usize).is_none() {
+            return None;
+        }
+        let inside = (border / context.config.tuning.texture.border_px).min(1.0);
+        let near = f64::from(context.median_edge) / footprint;
+        let weight = (f64::from(cosine) * near * near * inside) as f32;
+        let veil = self.veil.at(u, v) * self.veil_share;
+        let color = veil::without(Vec3::from_array(sample.color), veil) * self.exposure;
+        Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
+    }
+
+    /// Where the keyframe shows a point with this unit normal; `None` if the point is hidden, outside the picture, or seen from behind.
+    #[must_use]
+    pub fn visible(&self, context: &AssociationContext, point: Vec3, normal: Vec3) -> Option<Visible> {
         let tuning = &context.config.tuning.texture;
         let cosine = (self.center - point).normalize_or_zero().dot(normal);
         if cosine.is_nan() || f64::from(cosine) <= tuning.min_cosine {
@@ -119,21 +153,6 @@ impl TextureView {
             let depth = self.depth[((y + dy) * k.width as isize + x + dx) as usize];
             p.z <= f64::from(depth) + hidden
         };
-        if !AROUND_PX.iter().all(seen) {
-            return None;
-        }
-        let radius = (f64::from(texel) / footprint).clamp(1.0, MAX_RADIUS_PX);
-        let sample = self.image.sample(&context.table, u, v, radius)?;
-        let clipped = sample.brightest >= context.clipped;
-        // Beyond the lens the undistorted picture is white.
-        if clipped && distorted(&self.lens, x as usize, y as usize).is_none() {
-            return None;
-        }
-        let inside = (border / tuning.border_px).min(1.0);
-        let near = f64::from(context.median_edge) / footprint;
-        let weight = (f64::from(cosine) * near * near * inside) as f32;
-        let veil = self.veil.at(u, v) * self.veil_share;
-        let color = veil::without(Vec3::from_array(sample.color), veil) * self.exposure;
-        Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
+        AROUND_PX.iter().all(seen).then_some(Visible { u, v, border, footprint, cosine })
     }
 }
