@@ -7,13 +7,16 @@ use nalgebra::DVector;
 /// Sharpness s of the weight exp(s (cos − 1)) of a sample in a direction of the light: those are 11° apart, and what is beside them
 /// is like them.
 const SHARPNESS: f32 = 60.0;
+/// A direction of which at least this share was seen, and no more than that of what was seen clipped, has no bright lamp.
+const SEEN: f64 = 0.5;
+const CLIPPED: f32 = 0.01;
 
 /// Radiance beyond the scan, as far as it was seen.
 #[derive(Debug, Clone, Default)]
 pub struct SeenBackground {
-    /// Mean radiance in the units of the lit colours, linear RGB, and whether it was clipped, and so is a lower bound:
-    /// `[direction]`; empty where nothing was seen.
-    radiance: Vec<(Vec3, bool)>,
+    /// Mean radiance in the units of the lit colours, linear RGB, and which share of it was clipped; where most of it was, it is a
+    /// lower bound: `[direction]`; empty where nothing was seen.
+    radiance: Vec<(Vec3, f32)>,
     /// Share of the direction that was seen: `[direction]`.
     share: Vec<f64>,
 }
@@ -39,7 +42,10 @@ impl SeenBackground {
         // The weights of samples in all directions.
         let all = f64::from(0.5 / SHARPNESS) / solid_angle;
         Self {
-            radiance: sums.iter().map(|(s, w, bounds)| (*s / w.max(f32::MIN_POSITIVE), 2.0 * bounds > *w)).collect(),
+            radiance: sums
+                .iter()
+                .map(|(sum, w, bounds)| (*sum / w.max(f32::MIN_POSITIVE), bounds / w.max(f32::MIN_POSITIVE)))
+                .collect(),
             share: sums.iter().map(|(_, w, _)| (f64::from(*w) / all).min(1.0)).collect(),
         }
     }
@@ -50,6 +56,14 @@ impl SeenBackground {
         self.radiance.is_empty()
     }
 
+    /// True if pictures show that there is no bright lamp in this direction, a unit vector.
+    #[must_use]
+    pub fn has_no_lamp(&self, direction: Vec3) -> bool {
+        let cosine = |d: &usize| directions()[*d].as_vec3().dot(direction);
+        let nearest = (0..self.radiance.len()).max_by(|a, b| cosine(a).total_cmp(&cosine(b)));
+        nearest.is_some_and(|d| self.share[d] >= SEEN && self.radiance[d].1 <= CLIPPED)
+    }
+
     /// Share of a direction that was seen.
     pub(super) fn share(&self, direction: usize) -> f64 {
         self.share[direction]
@@ -57,9 +71,9 @@ impl SeenBackground {
 
     /// Radiance of a channel in units of `level`, at least `told` where it was clipped: `[direction]`.
     pub(super) fn relative_to(&self, channel: usize, level: f64, told: &DVector<f64>) -> DVector<f64> {
-        let of = |(radiance, told): (&(Vec3, bool), &f64)| {
-            let seen = f64::from(radiance.0[channel]) / level;
-            if radiance.1 { seen.max(*told) } else { seen }
+        let of = |((radiance, clipped), told): (&(Vec3, f32), &f64)| {
+            let seen = f64::from(radiance[channel]) / level;
+            if *clipped > 0.5 { seen.max(*told) } else { seen }
         };
         DVector::from_iterator(DIRECTIONS, self.radiance.iter().zip(told.iter()).map(of))
     }
@@ -89,6 +103,12 @@ mod tests {
         let told = DVector::from_element(DIRECTIONS, 5.0);
         assert!((seen.relative_to(1, 0.5, &told)[of(1.0)] - 6.0).abs() < 1e-4);
         assert_eq!(seen.relative_to(1, 1.0, &told)[of(1.0)], 5.0, "what is clipped is brighter than it shows");
+        // Clipped above, unclipped below, where one sample is clipped.
+        let hemispheres = all.iter().map(|d| (*d, Vec3::ONE, d.z > 0.2 || d.x > 0.999));
+        let seen = SeenBackground::new(hemispheres, 1.0 / 4000.0);
+        let told = [Vec3::NEG_Z, Vec3::Z, Vec3::X].map(|d| seen.has_no_lamp(d));
+        assert_eq!(told, [true, false, false]);
+        assert!(!SeenBackground::new(above(0.0), 1.0 / 4000.0).has_no_lamp(Vec3::NEG_Z), "not seen");
         assert!(SeenBackground::new(above(2.0), 1.0 / 4000.0).is_empty());
     }
 }

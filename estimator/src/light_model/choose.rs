@@ -4,7 +4,7 @@
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::held_out::mean;
 use crate::factorisation::scale::{self, Fixed, Scaled};
-use crate::factorisation::{Colors, FactorisationOptions, Factorised, Solution};
+use crate::factorisation::{Colors, FactorisationOptions, Factorised, SeenBackground, Solution};
 use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, segment_albedo};
@@ -71,6 +71,8 @@ pub struct Scene<'a> {
     pub unseen_radiates: bool,
     /// Lamps that the pictures show: only how bright they are is asked.
     pub seen_lamps: &'a [Sphere],
+    /// What pictures show beyond the scene.
+    pub background: &'a SeenBackground,
     /// What tells paints apart; `None` where segments stay as they are.
     pub divided_by: Option<&'a SegmentationTuning>,
 }
@@ -130,7 +132,8 @@ pub fn choose(
     if questioned && may_search() {
         searches += 1;
         choice.observe();
-        let best = choice.regularised(&choice.grown(&mut ladder));
+        let g = choice.grown(&mut ladder);
+        let best = choice.regularised(&g);
         let is_near;
         (is_near, near_light) = choice.is_near(&best, unexplained, &distant, &given);
         let is_distant = !is_near || best.kind() == LightModel::Secondary;

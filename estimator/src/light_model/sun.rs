@@ -25,7 +25,8 @@ impl Choice<'_> {
         if options.solver != SolverChoice::Robust {
             return None;
         }
-        let places = self.search(&[], &[]).best_directions();
+        let mut places = self.search(&[], &[]).best_directions();
+        places.retain(|direction| !self.scene.background.has_no_lamp(*direction));
         // Cheap models first: the factorisation takes longer than all of the search.
         let solved = |direction: Vec3| self.solved(&[], &[self.at_infinity(direction)], REGULARISATION);
         let (without, with) = rayon::join(

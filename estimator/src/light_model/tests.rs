@@ -1,6 +1,6 @@
 //! A desk with a box in a corner of two walls, under a lamp or under a uniform sky: lit colours as the model makes them.
 
-use crate::factorisation::{Colors, FactorisationOptions, factorise};
+use crate::factorisation::{Colors, FactorisationOptions, SeenBackground, factorise};
 use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::division::Division;
 use crate::light_model::lamps::{self, Sphere};
@@ -110,7 +110,15 @@ fn chosen_with(
     let found = factorise(Arc::clone(&traced), &colors, &options, None);
     let paints = SegmentationTuning::default();
     let (unseen_radiates, divided_by) = (false, Some(&paints));
-    let parts = choose::Scene { mesh: &mesh, rays: &scene, colors, unseen_radiates, seen_lamps: &[], divided_by };
+    let parts = choose::Scene {
+        mesh: &mesh,
+        rays: &scene,
+        colors,
+        unseen_radiates,
+        seen_lamps: &[],
+        background: &SeenBackground::default(),
+        divided_by,
+    };
     (choose::choose(&parts, &found, &options, &mut || true), paint)
 }
 
