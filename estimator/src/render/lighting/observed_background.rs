@@ -1,5 +1,6 @@
 //! Background that the keyframes observed past the mesh: the part of the surroundings that needs no completion.
 
+use crate::association::vignetting::Vignetting;
 use crate::numerics::robust::median;
 use crate::rays::RayScene;
 use crate::render::lighting::environment::{Environment, SIDE, texel};
@@ -152,7 +153,7 @@ pub fn surroundings(
         .par_iter()
         .zip(pictures)
         .map(|(keyframe, picture)| {
-            picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table, tuning))
+            picture.as_ref().map_or(Vec::new(), |p| one_view(keyframe, p, scene, &table, Vignetting::default(), tuning))
         })
         .collect();
     let mut samples: Vec<Vec<(Vec3, bool)>> = vec![Vec::new(); SIDE * SIDE];
@@ -174,13 +175,14 @@ pub fn overlay(light: &Environment, known: &[ObservedTexel]) -> Environment {
     })
 }
 
-/// Mean radiance of every texel that one keyframe saw past the mesh, ascending, and whether it was clipped.
+/// Mean radiance of every texel that one keyframe saw past the mesh, ascending, freed of vignetting, and whether it was clipped.
 #[must_use]
 pub fn one_view(
     keyframe: &ResultKeyframe,
     picture: &RgbImage,
     scene: &RayScene,
     table: &[f32; 256],
+    vignetting: Vignetting,
     tuning: &SurroundingsTuning,
 ) -> Vec<(usize, Vec3, bool)> {
     let eye = keyframe.world_from_camera.translation.as_vec3();
@@ -194,7 +196,8 @@ pub fn one_view(
                 let p = &picture.data[3 * (y * picture.width + x) as usize..][..3];
                 let linear = Vec3::new(table[p[0] as usize], table[p[1] as usize], table[p[2] as usize]);
                 let clipped = p.iter().any(|v| u32::from(*v) >= tuning.clipped_from);
-                found.push((texel(ray(keyframe, f64::from(x), f64::from(y))), linear / gain, clipped));
+                let shade = vignetting.shade(&keyframe.camera.intrinsics, f64::from(x), f64::from(y));
+                found.push((texel(ray(keyframe, f64::from(x), f64::from(y))), linear / (gain * shade), clipped));
             }
         }
     }
