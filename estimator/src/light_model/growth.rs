@@ -207,7 +207,8 @@ impl Choice<'_> {
     /// The search for a lamp beside these sources.
     pub(super) fn search(&self, emitters: &[usize], lamps: &[Sphere]) -> Search<'_> {
         let columns = self.columns(SEARCH_BANDS.min(self.traced.bands), emitters, lamps);
-        Search::new(self.scene.mesh, self.scene.rays, &self.samples, &columns)
+        let is_first = lamps.len() <= self.scene.seen_lamps.len();
+        Search::new(self.scene.mesh, self.scene.rays, &self.samples, &columns, is_first)
     }
 
     /// A lamp at infinity in this direction, a unit vector from the scene.

@@ -31,6 +31,9 @@ const APART: f32 = 1.6;
 /// that are nearly as good.
 const DIRECTIONS_SOLVED: usize = 24;
 const DIRECTIONS_REFINED: usize = 3;
+/// Where there is no other lamp but those that pictures show, places are not refined unless the best of them leaves less than this share of what none leaves:
+/// lamps that were there left 0.96 at most.
+const HOPEFUL: f64 = 0.97;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
 const EVALUATIONS: usize = 60;
@@ -54,18 +57,20 @@ pub struct Search<'a> {
     values: Values,
     /// The model without a lamp more.
     without: Channel,
+    /// That has no lamp but those that pictures show.
+    is_first: bool,
 }
 
 impl<'a> Search<'a> {
-    /// Searches for a lamp that is added to the model of `columns`; `scene` is the mesh for rays.
+    /// Searches for a lamp, the first one that no picture shows or a further one, that is added to the model of `columns`; `scene` is the mesh for rays.
     #[must_use]
-    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, samples: &Samples, columns: &Columns) -> Self {
+    pub fn new(mesh: &'a Mesh, scene: &'a RayScene, samples: &Samples, columns: &Columns, is_first: bool) -> Self {
         let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
         let (samples, columns) = (samples.chosen(&fitted), columns.chosen(&fitted));
         let rows = columns.rows(&samples);
         let (projection, values) = (Projection::new(rows.coefficients), Values::new(&rows, luminance_f64));
         let without = solve::solve_channel(&rows, &values, &projection, REGULARISATION);
-        Self { mesh, scene, samples, columns, projection, values, without }
+        Self { mesh, scene, samples, columns, projection, values, without, is_first }
     }
 
     /// The best places, seen as points; none where no place explains anything.
@@ -114,6 +119,11 @@ impl<'a> Search<'a> {
         let mut tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
         tried.truncate(refined);
+        // A first lamp explains much of what is left, if there is any.
+        let most = if self.is_first { HOPEFUL * self.unexplained(&self.without) } else { f64::INFINITY };
+        if tried.first().is_none_or(|best| best.0 > most) {
+            return Vec::new();
+        }
         tried.into_par_iter().map(|t| self.refined(t, step.min_element())).collect()
     }
 
@@ -191,12 +201,16 @@ impl<'a> Search<'a> {
     /// Mean capped residual of the model with a lamp at this place.
     fn cost(&self, place: Vec3) -> f64 {
         let (rows, values) = (self.columns.rows(&self.samples), &self.values);
-        let samples = rows.samples;
         let sphere = Sphere { center: place, radius: 0.0 };
-        let column = lamps::form_factors(self.mesh, self.scene, &samples.vertex, &sphere);
+        let column = lamps::form_factors(self.mesh, self.scene, &self.samples.vertex, &sphere);
         let (shared, columns) = rows.with_column(&column);
         let rows = Rows { shared: &shared, columns, ..rows };
-        let solved = solve::solve_channel(&rows, values, &self.projection, REGULARISATION);
+        self.unexplained(&solve::solve_channel(&rows, values, &self.projection, REGULARISATION))
+    }
+
+    /// Mean capped residual of a model.
+    fn unexplained(&self, solved: &Channel) -> f64 {
+        let (samples, values) = (&self.samples, &self.values);
         let mean: f64 = solved.irradiance.iter().zip(&samples.weight).map(|(e, w)| e * w).sum::<f64>()
             / samples.weight.iter().sum::<f64>().max(1e-30);
         let (mut sum, mut total) = (0.0, 0.0);
