@@ -201,8 +201,8 @@ fn is_ambiguous(px: [Vec<f64>; 2], tuning: &PoseTuning) -> bool {
     }
 }
 
-/// The pose at which an image fits these lit colours best, starting at the pose of `view`. The image must not have
-/// contributed to the colours.
+/// The pose at which an image fits these lit colours best, starting at the pose of `view`, at these levels of its pyramid in turn. The image
+/// must not have contributed to the colours.
 #[must_use]
 pub fn located(
     context: &AssociationContext,
@@ -210,12 +210,13 @@ pub fn located(
     color: &[Vec3],
     weight: &[f32],
     view: &RefinedView,
+    levels: &[f64],
 ) -> Pose {
     let colors = fill(context, color, weight);
     let mut found = *view;
     let mut moved = Motion::zeros();
     let expected = ExpectedMotion::given(&context.config.tuning.pose);
-    for level in [0.25, 0.5, 1.0, 1.0] {
+    for &level in levels {
         if let Some(a) = align(context, image, &colors, &found, &moved, &expected, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);
         }
