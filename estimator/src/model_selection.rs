@@ -202,17 +202,20 @@ impl Trials<'_> {
         let mut best = self.level(UPWARD[0].clamp(min_bands, max_bands), None, tried);
         let mut next: Option<(usize, SampleMean)> = None;
         let mut without = 0;
+        let mut rejected: Option<Level> = None;
         for n in UPWARD.into_iter().skip(1).chain([max_bands]).filter(|n| *n <= max_bands) {
             let patient = without < self.tuning.model_selection.patience;
             if n <= best.bands || !patient || next.is_some_and(|(tried, _)| n <= tried) {
                 continue;
             }
-            let higher = self.level(n, Some(&best), tried);
+            let higher = self.level(n, Some(rejected.as_ref().unwrap_or(&best)), tried);
             let gain = higher.gain_over(&best);
             if self.is_significant(&gain) {
                 (best, next, without) = (higher, None, 0);
+                rejected = None;
             } else {
                 (next, without) = (next.or(Some((n, gain))), without + 1);
+                rejected = Some(higher);
             }
         }
         if best.bands <= UPWARD[0] {

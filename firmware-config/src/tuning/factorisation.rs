@@ -34,7 +34,7 @@ section! {
         /// Vertices of the fit, shared out by the size of the segments. Source: many times the unknowns.
         samples: u32 = 12000, [100..=1000000], "vertices", "";
         /// Smallest number of vertices of one segment in the fit, if it has so many.
-        min_segment_samples: u32 = 300, [1..=100000], "vertices", "";
+        min_segment_samples: u32 = 100, [1..=100000], "vertices", "";
         /// Errors of a lit colour are relative to it, but to no less than this share of its segment's median. Source: measured on the rendered scenes.
         dark_floor: f64 = 0.15, [0.0..=1.0], "", "";
         /// Errors of a channel are relative to no less than this share of the brightest channel. Source: measured on the rendered scenes.
