@@ -18,6 +18,8 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
+/// Gloss that raises the error of the prediction by more than this share is none: errors of poses and light pass for it.
+const CONTRADICTED: f64 = 0.02;
 /// A pass that lowers the error by a smaller share is the last.
 const WORTHWHILE: f64 = 0.01;
 
@@ -70,8 +72,8 @@ pub fn refit(
     let rays = MirrorRays::new(surface.mesh, surface.scene);
     let (found, gloss, exposure_change) = fit_and_expose(surface, &rays, fields, found, options, tuning);
     let glossy = gloss.iter().filter(|g| g.significant).count();
-    let decision = |without_gloss, with_gloss| Decision::Specular {
-        cleaned: glossy > 0,
+    let decision = |cleaned, without_gloss, with_gloss| Decision::Specular {
+        cleaned,
         segments: surface.segments as u32,
         glossy: glossy as u32,
         exposure_change,
@@ -79,16 +81,20 @@ pub fn refit(
         with_gloss,
     };
     if glossy == 0 {
-        return Refitted { found, gloss, decisions: vec![decision(None, Vec::new())] };
+        return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
     }
     let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
-    // so it does not decide whether gloss is there.
+    // so it does not decide whether gloss is there, but where it contradicts clearly.
     let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
-    let mut decisions = vec![decision(Some(without), errors)];
+    if best.prediction.error() > without * (1.0 + CONTRADICTED) {
+        let gloss = vec![Gloss::NONE; surface.segments];
+        return Refitted { found, gloss, decisions: vec![decision(false, Some(without), errors)] };
+    }
+    let mut decisions = vec![decision(true, Some(without), errors)];
     let mut best = refitter.more_bands(best, &mut decisions);
     let gloss = material::pooled(surface.graph, surface.segment, &best.found.solution.albedo, &best.gloss, tuning);
     // Once more: what is taken out is what the result has.
