@@ -18,7 +18,7 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
-/// Gloss that raises the error of the prediction by more than this share is none: errors of poses and light pass for it.
+/// Gloss that raises the error of the prediction by more than this share, whatever the bands, is none: errors of poses and light pass for it.
 const CONTRADICTED: f64 = 0.02;
 /// A pass that lowers the error by a smaller share is the last.
 const WORTHWHILE: f64 = 0.01;
@@ -85,17 +85,18 @@ pub fn refit(
     }
     let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
-    // so it does not decide whether gloss is there, but where it contradicts clearly.
+    // so it does not decide whether gloss is there, but where it contradicts with all bands.
     let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     errors.extend(refitter.repeat(&mut best));
+    let mut with_more_bands = Vec::new();
+    let mut best = refitter.more_bands(best, &mut with_more_bands);
     if best.prediction.error() > without * (1.0 + CONTRADICTED) {
-        let gloss = vec![Gloss::NONE; surface.segments];
-        return Refitted { found, gloss, decisions: vec![decision(false, Some(without), errors)] };
+        let decisions = vec![decision(false, Some(without), errors)];
+        return Refitted { found, gloss: vec![Gloss::NONE; surface.segments], decisions };
     }
-    let mut decisions = vec![decision(true, Some(without), errors)];
-    let mut best = refitter.more_bands(best, &mut decisions);
+    let decisions = std::iter::once(decision(true, Some(without), errors)).chain(with_more_bands).collect();
     let gloss = material::pooled(surface.graph, surface.segment, &best.found.solution.albedo, &best.gloss, tuning);
     // Once more: what is taken out is what the result has.
     let lit_color = clean(&surface.reflection(&best.found), &rays, fields, surface.segment, &gloss, tuning);
