@@ -9,7 +9,7 @@ use crate::association::haze::LeftOut;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
-use crate::association::observations::{Association, RefinedView, always_clipped};
+use crate::association::observations::{Association, Lens, RefinedView, always_clipped};
 use crate::association::pose::PoseRefiner;
 use crate::association::reliability::{reliability, turns};
 use crate::association::seen_lamps::seen_lamps;
@@ -122,8 +122,7 @@ pub fn associate_within(
     let poses: Vec<Pose> = views.iter().map(|v| v.world_from_camera).collect();
     Association {
         veils,
-        veil_share: 0.0,
-        vignetting,
+        lens: Lens { veil_share: 0.0, vignetting },
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
         reliability,
         lit_color: lit.color,

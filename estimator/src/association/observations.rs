@@ -37,7 +37,7 @@ pub struct RefinedView {
 /// What a camera and its lens add to the pictures.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Lens {
-    /// Share of veiling glare that the colours of the vertices are free of.
+    /// Share of the veil that the colours of the vertices are free of.
     pub veil_share: f64,
     /// Vignetting that they are free of.
     pub vignetting: Vignetting,
@@ -62,10 +62,8 @@ pub struct Association {
     pub offsets: Vec<u32>,
     /// What the lens scatters over each picture at a share of 1; `None` for keyframes without a picture. `[keyframe]`
     pub veils: Vec<Option<Veil>>,
-    /// Share of the veil that the colours were freed of.
-    pub veil_share: f64,
-    /// Vignetting that the colours were freed of.
-    pub vignetting: Vignetting,
+    /// What the colours were freed of.
+    pub lens: Lens,
     /// Lamps that the pictures show in the air.
     pub seen_lamps: Vec<SeenLamp>,
     /// Exposure model and pose refinement, with their evidence.
@@ -74,14 +72,6 @@ pub struct Association {
     pub dark_below: f32,
     /// Thresholds of the exposure estimate.
     pub exposure: ExposureTuning,
-}
-
-impl Association {
-    /// What the colours are free of.
-    #[must_use]
-    pub fn lens(&self) -> Lens {
-        Lens { veil_share: self.veil_share, vignetting: self.vignetting }
-    }
 }
 
 /// Vertices with observations, all of which are clipped. Rows of `observations` start at `offsets`, `[vertex + 1]`.

@@ -201,8 +201,8 @@ fn is_ambiguous(px: [Vec<f64>; 2], tuning: &PoseTuning) -> bool {
     }
 }
 
-/// The pose at which an image fits these lit colours best, starting at the pose of `view`, at these levels of its pyramid in turn. The image
-/// must not have contributed to the colours.
+/// The pose at which an image fits these lit colours best, starting at the pose of `view`, at these levels of its pyramid in turn. The
+/// image must not have contributed to the colours.
 #[must_use]
 pub fn located(
     context: &AssociationContext,

@@ -97,8 +97,7 @@ fn value(response: &Response, linear: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::association::observations::RefinedView;
-    use crate::association::vignetting::Vignetting;
+    use crate::association::observations::{Lens, RefinedView};
     use firmware_config::tuning::ExposureTuning;
     use glam::Vec3;
     use recordings::types::Pose;
@@ -136,8 +135,7 @@ mod tests {
         let view = |gain| RefinedView { world_from_camera: Pose::IDENTITY, gain, residual_px: 0.0 };
         Association {
             veils: Vec::new(),
-            veil_share: 0.0,
-            vignetting: Vignetting::default(),
+            lens: Lens::default(),
             seen_lamps: Vec::new(),
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],

@@ -68,7 +68,7 @@ impl Association {
         };
         self.observations = field.observations.iter().map(exposed).collect();
         self.offsets = field.offsets;
-        self.veil_share = share;
+        self.lens.veil_share = share;
     }
 }
 
@@ -76,6 +76,7 @@ impl Association {
 mod tests {
     use super::*;
     use crate::association::keyframe_image::KeyframeImage;
+    use crate::association::observations::Lens;
     use crate::association::veil::Veil;
     use crate::association::vignetting::Vignetting;
     use recordings::types::{CameraModel, Distortion, Intrinsics};
@@ -112,8 +113,7 @@ mod tests {
             observations: vec![observation],
             offsets: vec![0, 1],
             veils: vec![Some(veil)],
-            veil_share: 0.0,
-            vignetting: Vignetting::default(),
+            lens: Lens::default(),
             seen_lamps: Vec::new(),
             decisions: Vec::new(),
             dark_below: 0.0,
@@ -124,6 +124,6 @@ mod tests {
         assert!((veil.most - most).abs() < 1e-6 && veil.most > share, "{} {most}", veil.most);
         fields.take_veil(&veil, share);
         let off = fields.lit_color[0] - Vec3::splat(color / gain);
-        assert!(off.abs().max_element() < 1e-5 && fields.veil_share == share, "{}", fields.lit_color[0]);
+        assert!(off.abs().max_element() < 1e-5 && fields.lens.veil_share == share, "{}", fields.lit_color[0]);
     }
 }

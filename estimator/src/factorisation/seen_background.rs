@@ -39,13 +39,14 @@ impl SeenBackground {
         if sums.iter().all(|s| s.1 == 0.0) {
             return Self::default();
         }
+        let mean = |&(sum, w, bounds): &(Vec3, f32, f32)| {
+            let w = w.max(f32::MIN_POSITIVE);
+            (sum / w, bounds / w)
+        };
         // The weights of samples in all directions.
         let all = f64::from(0.5 / SHARPNESS) / solid_angle;
         Self {
-            radiance: sums
-                .iter()
-                .map(|(sum, w, bounds)| (*sum / w.max(f32::MIN_POSITIVE), bounds / w.max(f32::MIN_POSITIVE)))
-                .collect(),
+            radiance: sums.iter().map(mean).collect(),
             share: sums.iter().map(|(_, w, _)| (f64::from(*w) / all).min(1.0)).collect(),
         }
     }

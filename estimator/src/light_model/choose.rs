@@ -132,8 +132,7 @@ pub fn choose(
     if questioned && may_search() {
         searches += 1;
         choice.observe();
-        let g = choice.grown(&mut ladder);
-        let best = choice.regularised(&g);
+        let best = choice.regularised(&choice.grown(&mut ladder));
         let is_near;
         (is_near, near_light) = choice.is_near(&best, unexplained, &distant, &given);
         let is_distant = !is_near || best.kind() == LightModel::Secondary;

@@ -31,8 +31,8 @@ const APART: f32 = 1.6;
 /// that are nearly as good.
 const DIRECTIONS_SOLVED: usize = 24;
 const DIRECTIONS_REFINED: usize = 3;
-/// Where there is no other lamp but those that pictures show, places are not refined unless the best of them leaves less than this share of what none leaves:
-/// lamps that were there left 0.96 at most.
+/// Where there is no other lamp but those that pictures show, places are not refined unless the best of them leaves less than this share
+/// of what none leaves: lamps that were there left 0.96 at most.
 const HOPEFUL: f64 = 0.97;
 /// First edge of the simplex in lattice steps, evaluations, and edge at which it ends in lattice steps.
 const SIMPLEX: f32 = 0.6;
@@ -62,7 +62,8 @@ pub struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// Searches for a lamp, the first one that no picture shows or a further one, that is added to the model of `columns`; `scene` is the mesh for rays.
+    /// Searches for a lamp that is added to the model of `columns`, the first one that no picture shows or a further one; `scene` is the
+    /// mesh for rays.
     #[must_use]
     pub fn new(mesh: &'a Mesh, scene: &'a RayScene, samples: &Samples, columns: &Columns, is_first: bool) -> Self {
         let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();

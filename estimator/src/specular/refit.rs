@@ -18,7 +18,8 @@ use recordings::decision::Decision;
 use recordings::types::Mesh;
 use std::sync::Arc;
 
-/// Gloss that raises the error of the prediction by more than this share, whatever the bands, is none: errors of poses and light pass for it.
+/// Gloss that raises the error of the prediction by more than this share, whatever the bands, is none: errors of poses and light pass
+/// for it.
 const CONTRADICTED: f64 = 0.02;
 /// A pass that lowers the error by a smaller share is the last.
 const WORTHWHILE: f64 = 0.01;

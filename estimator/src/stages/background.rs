@@ -48,7 +48,7 @@ impl Background {
         let of_keyframe = |j: &usize| {
             let Ok(picture) = scan.keyframes[*j].color.decode() else { return Vec::new() };
             let view = as_refined(&scan.keyframes[*j], &views[*j]);
-            let seen = one_view(&view, &picture, scene, &table, fields.vignetting, &tuning).into_iter();
+            let seen = one_view(&view, &picture, scene, &table, fields.lens.vignetting, &tuning).into_iter();
             seen.map(|(texel, radiance, clipped)| Seen {
                 keyframe: *j as u32,
                 direction: cell(texel),

@@ -93,7 +93,7 @@ pub fn select_local_light(
                 // A near model that holds only with the glare left in tells nothing of it.
                 prepared.fields.take_veil(&veil, -share.chosen);
                 hide(&mut prepared.fields.lit_weight, &hidden);
-                (prepared.fields.veil_share, share.chosen) = (0.0, 0.0);
+                (prepared.fields.lens.veil_share, share.chosen) = (0.0, 0.0);
             }
         }
         prepared.decisions.push(share.decision(&veil));

@@ -35,7 +35,7 @@ pub fn texture(
         .map(|((keyframe, view), veil)| (keyframe, view, veil))
         .step_by(stride)
         .collect();
-    let (texture, decision) = albedo::texture(&context, &keyframes, colors, prepared.fields.lens());
+    let (texture, decision) = albedo::texture(&context, &keyframes, colors, prepared.fields.lens);
     prepared.decisions.push(decision);
     run.plan.texture_done();
     texture

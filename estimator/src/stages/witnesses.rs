@@ -41,7 +41,7 @@ pub fn witnesses(
         gloss,
         matte: &prepared.fields.lit_color,
         detail: detail.as_ref(),
-        lens: prepared.fields.lens(),
+        lens: prepared.fields.lens,
     };
     let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
     let (mut compared, mut predicted) = (Vec::new(), 0);

@@ -54,16 +54,12 @@ pub fn texture(
 ) -> (Option<Texture>, Decision) {
     let (tuning, mut views) = (&context.config.tuning.texture, views(context, keyframes, lens));
     let none = |footprint_m| (None, Decision::Texture { footprint_m, atlas: None, prediction: None });
-    let Some(footprint) = footprint(context, &views) else {
-        return none(0.0);
-    };
+    let Some(footprint) = footprint(context, &views) else { return none(0.0) };
     let wanted = match context.config.texture {
         TextureChoice::Texel(mm) => 1e-3 * mm as f32,
         _ => footprint * tuning.texel_px as f32,
     };
-    let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else {
-        return none(f64::from(footprint));
-    };
+    let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
     let (blurred, seen) = texels(context, &views, &atlas, colors);
