@@ -9,7 +9,7 @@ use crate::association::haze::LeftOut;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
-use crate::association::observations::{Association, Lens, RefinedView, always_clipped};
+use crate::association::observations::{Association, Lens, RefinedView, always_clipped, are_exposed};
 use crate::association::pose::PoseRefiner;
 use crate::association::reliability::{reliability, turns};
 use crate::association::seen_lamps::seen_lamps;
@@ -85,7 +85,7 @@ pub fn associate_within(
         let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
         let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
-        problem.nearly = views.iter().any(|v| v.gain != [1.0; 3]);
+        problem.nearly = are_exposed(&views);
         left_out.take(exposures.hazed, &mut images);
         freed(&mut images, &mut problem, exposures.vignetting);
         let lit = lit_colors(&field, &views); // Eq. (2)

@@ -34,6 +34,12 @@ pub struct RefinedView {
     pub residual_px: f64,
 }
 
+/// True if exposures were estimated: not all gains are 1.
+#[must_use]
+pub fn are_exposed(views: &[RefinedView]) -> bool {
+    views.iter().any(|v| v.gain != [1.0; 3])
+}
+
 /// What a camera and its lens add to the pictures.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Lens {

@@ -4,7 +4,7 @@ use crate::association::exposure;
 use crate::association::exposure_patches::ExposureProblem;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
-use crate::association::observations::{Association, Observation};
+use crate::association::observations::{Association, Observation, are_exposed};
 use firmware_config::ExposureChoice;
 use recordings::types::Mesh;
 
@@ -13,7 +13,7 @@ impl Association {
     /// weight. Returns the RMS change of the log gains; `None`, without a change, if most keyframes see too little matte
     /// surface or exposures are not estimated at all.
     pub fn expose_by(&mut self, matte: &[bool], mesh: &Mesh, median_edge: f32) -> Option<f64> {
-        let estimated = self.views.iter().any(|v| v.gain != [1.0; 3]);
+        let estimated = are_exposed(&self.views);
         let rgb = self.views.iter().any(|v| v.gain[0] != v.gain[1] || v.gain[1] != v.gain[2]);
         // [keyframe][glossy, matte]: sums of weights.
         let mut shares = vec![[0.0f64; 2]; self.views.len()];

@@ -27,6 +27,9 @@ impl Choice<'_> {
         }
         let mut places = self.search(&[], &[]).best_directions();
         places.retain(|direction| !self.scene.background.has_no_lamp(*direction));
+        if places.is_empty() {
+            return None;
+        }
         // Cheap models first: the factorisation takes longer than all of the search.
         let solved = |direction: Vec3| self.solved(&[], &[self.at_infinity(direction)], REGULARISATION);
         let (without, with) = rayon::join(

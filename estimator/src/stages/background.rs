@@ -26,7 +26,8 @@ const MIN_DIRECTIONS: usize = 100;
 /// What the keyframes saw beyond the scan. Every second one is evidence of the light, the others judge it.
 #[derive(Default)]
 pub struct Background {
-    evidence: Vec<Seen>,
+    /// Of the light.
+    pub evidence: SeenBackground,
     left_out: Vec<Seen>,
 }
 
@@ -63,18 +64,13 @@ impl Background {
         for (n, seen) in seen.into_iter().enumerate() {
             halves[n % 2].extend(seen);
         }
-        let [evidence, left_out] = halves;
-        Self { evidence, left_out }
-    }
-
-    /// Evidence of the light.
-    pub fn evidence(&self) -> SeenBackground {
-        let means = means(&self.evidence).into_iter();
+        let [told, left_out] = halves;
         let side = environment::SIDE / TEXELS;
-        SeenBackground::new(
-            means.map(|(cell, (radiance, clipped))| (direction(cell), radiance, clipped)),
+        let evidence = SeenBackground::new(
+            means(&told).into_iter().map(|(cell, (radiance, clipped))| (direction(cell), radiance, clipped)),
             1.0 / (side * side) as f64,
-        )
+        );
+        Self { evidence, left_out }
     }
 
     /// How the distant part of a light that was `drawn` to the evidence correlates with what was left out.

@@ -100,8 +100,8 @@ pub fn light(prepared: &Prepared, answer: &mut Answer, model: LightModel, config
     };
     // Eq. (9) holds for these colours where all light is distant.
     let is_told = model == LightModel::Distant && config.solver == SolverChoice::Robust;
-    let seen = prepared.background.evidence();
-    let drawn = is_told.then(|| drawn_light::draw(&white, &mut solution, &seen, tuning)).flatten();
+    let seen = &prepared.background.evidence;
+    let drawn = is_told.then(|| drawn_light::draw(&white, &mut solution, seen, tuning)).flatten();
     let harmonics = solution.harmonics().len();
     let suns = found.transfer.traced.sun.as_ref().zip(solution.sun());
     let sun =
