@@ -25,9 +25,18 @@ impl<'a> VisibilityMap<'a> {
     /// Renders the depth of the mesh.
     pub fn new(mesh: &Mesh, world_from_camera: &Pose, camera: &'a Pinhole, tuning: &SurfaceCoverageTuning) -> Self {
         let camera_from_world = Rigid::from(&world_from_camera.inverse());
+        let project = |p: &Vec3| {
+            let p = camera_from_world.apply(*p);
+            if p.z < NEAR_M {
+                return Vec3::ZERO;
+            }
+            let w = 1.0 / p.z;
+            Vec3::new(camera.fx * p.x * w + camera.cx, camera.fy * p.y * w + camera.cy, w)
+        };
+        let projected: Vec<Vec3> = mesh.positions.iter().map(project).collect();
         let mut nearest = vec![f32::INFINITY; camera.width * camera.height];
         for t in &mesh.triangles {
-            draw(camera, t.map(|i| camera_from_world.apply(mesh.positions[i as usize])), &mut nearest);
+            draw(camera, t.map(|i| projected[i as usize]), &mut nearest);
         }
         Self {
             camera,
@@ -51,22 +60,19 @@ impl<'a> VisibilityMap<'a> {
     }
 }
 
-/// Renders the depth of a triangle (camera axes) at the centres of the pixels that it covers; triangles closer than
-/// [`NEAR_M`] are left out.
-fn draw(camera: &Pinhole, corners: [Vec3; 3], nearest: &mut [f32]) {
-    if corners.iter().any(|p| p.z < NEAR_M) {
+/// Renders the depth of a triangle at the centres of the pixels that it covers. Corners are (u, v, 1/depth), since inverse depth is linear
+/// in the image; the last is 0 for corners closer than [`NEAR_M`], whose triangles are left out.
+fn draw(camera: &Pinhole, [a, b, c]: [Vec3; 3], nearest: &mut [f32]) {
+    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+    if low.z == 0.0 || high.x < 0.0 || high.y < 0.0 {
         return;
     }
-    // Inverse depth is linear in the image.
-    let [a, b, c] = corners.map(|p| {
-        let w = 1.0 / p.z;
-        Vec3::new(camera.fx * p.x * w + camera.cx, camera.fy * p.y * w + camera.cy, w)
-    });
-    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
     let last = (camera.width as f32 - 1.0, camera.height as f32 - 1.0);
-    let (x0, y0) = (low.x.max(0.0).ceil(), low.y.max(0.0).ceil());
-    let (x1, y1) = (high.x.min(last.0).floor(), high.y.min(last.1).floor());
-    if !(x0 <= x1 && y0 <= y1) {
+    // Most triangles have no pixel between their corners. Casts truncate, which is cheaper than to round.
+    let first = |x: f32| x as usize + usize::from((x as usize as f32) < x);
+    let (x0, y0) = (first(low.x.max(0.0)), first(low.y.max(0.0)));
+    let (x1, y1) = (high.x.min(last.0) as usize, high.y.min(last.1) as usize);
+    if x0 > x1 || y0 > y1 {
         return;
     }
     let (ab, ac) = (b - a, c - a);
@@ -74,8 +80,8 @@ fn draw(camera: &Pinhole, corners: [Vec3; 3], nearest: &mut [f32]) {
     if area == 0.0 {
         return;
     }
-    for y in y0 as usize..=y1 as usize {
-        for x in x0 as usize..=x1 as usize {
+    for y in y0..=y1 {
+        for x in x0..=x1 {
             let (dx, dy) = (x as f32 - a.x, y as f32 - a.y);
             let (u, v) = ((dx * ac.y - dy * ac.x) / area, (ab.x * dy - ab.y * dx) / area);
             if u >= 0.0 && v >= 0.0 && u + v <= 1.0 {
