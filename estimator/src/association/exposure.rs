@@ -21,6 +21,8 @@ use recordings::decision::{Decision, ExposureModel};
 const UNLIMITED: f64 = 1e12;
 /// Groups of patches of similar chromaticity.
 const COLOR_GROUPS: usize = 6;
+/// Patches that one task takes, at least.
+const PATCHES_TOGETHER: usize = 64;
 /// Change of log gains below which the reweighting has converged.
 const CONVERGED_LOG: f64 = 1e-5;
 
@@ -130,7 +132,8 @@ impl Solver<'_> {
             .map(|g| self.refine(patches, self.refine(g, self.unit(), false), false))
             .collect();
         // Exposures far apart exceed any tolerance at the start; plain least squares uses every patch.
-        candidates.push(self.refine(patches, reweighted(patches, &self.unit(), UNLIMITED, false), false));
+        let plain = reweighted(patches, &deviations(patches, &self.unit()), UNLIMITED, self.keyframes, false);
+        candidates.push(self.refine(patches, plain, false));
         let scale = candidates.iter().map(|c| self.tolerance(patches, c)).fold(f64::INFINITY, f64::min);
         let scores: Vec<f64> = candidates.par_iter().map(|c| disagreement(patches, c, scale)).collect();
         let best = (0..candidates.len()).fold(0, |b, i| if scores[i] < scores[b] { i } else { b });
@@ -140,8 +143,13 @@ impl Solver<'_> {
     /// Mean square log deviation up to which a patch agrees: the deviation of a diffuse patch, or that of the better patches
     /// if theirs is larger.
     pub(super) fn tolerance(&self, patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
+        self.tolerance_of(patches, &deviations(patches, gains))
+    }
+
+    /// The same of what the patches deviate by.
+    pub(super) fn tolerance_of(&self, patches: &[&Patch], deviations: &[Vec<[f64; 3]>]) -> f64 {
         let least = self.tuning.diffuse_log * self.tuning.diffuse_log;
-        let mut spreads: Vec<f64> = patches.iter().map(|p| p.spread(&p.deviations(gains)).0).collect();
+        let mut spreads: Vec<f64> = patches.iter().zip(deviations).map(|(p, d)| p.spread(d).0).collect();
         if spreads.is_empty() {
             return least;
         }
@@ -152,7 +160,8 @@ impl Solver<'_> {
     /// Log gains by iteratively reweighted least squares, each patch's constant eliminated. Eq. (5)
     pub(super) fn refine(&self, patches: &[&Patch], mut gains: LogGains, rgb: bool) -> LogGains {
         for _ in 0..self.tuning.rounds {
-            let next = reweighted(patches, &gains, self.tolerance(patches, &gains), rgb);
+            let deviations = deviations(patches, &gains);
+            let next = reweighted(patches, &deviations, self.tolerance_of(patches, &deviations), gains.len(), rgb);
             let moves = gains.iter().flatten().zip(next.iter().flatten()).map(|(a, b)| (a - b).abs());
             let moved = moves.fold(0.0, f64::max);
             gains = next;
@@ -196,13 +205,17 @@ pub(super) fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f6
     sum / f64::max(total, 1e-12)
 }
 
-/// One round of reweighted least squares, with weights from the deviations at `gains`.
-fn reweighted(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64, rgb: bool) -> LogGains {
-    let n = gains.len();
+/// Deviations of every patch at these gains.
+pub(super) fn deviations(patches: &[&Patch], gains: &[[f64; 3]]) -> Vec<Vec<[f64; 3]>> {
+    patches.par_iter().with_min_len(PATCHES_TOGETHER).map(|p| p.deviations(gains)).collect()
+}
+
+/// One round of reweighted least squares for `n` keyframes, with weights from the deviations.
+fn reweighted(patches: &[&Patch], deviations: &[Vec<[f64; 3]>], tolerance: f64, n: usize, rgb: bool) -> LogGains {
     let mut matrix = DMatrix::<f64>::zeros(n, n);
     let mut right: [DVector<f64>; 3] = std::array::from_fn(|_| DVector::zeros(n));
-    for p in patches {
-        let weights = p.robust_weights(&p.deviations(gains), tolerance);
+    for (p, deviations) in patches.iter().zip(deviations) {
+        let weights = p.robust_weights(deviations, tolerance);
         let total: f64 = weights.iter().sum::<f64>().max(1e-12);
         let mean: [f64; 3] =
             std::array::from_fn(|c| p.logs.iter().zip(&weights).map(|(l, w)| w * l[c]).sum::<f64>() / total);

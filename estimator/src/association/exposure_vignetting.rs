@@ -1,6 +1,6 @@
 //! The vignetting that exposures leave: how much darker patches are where keyframes show them off the axis.
 
-use crate::association::exposure::{LogGains, Solver, disagreement};
+use crate::association::exposure::{LogGains, Solver, deviations, disagreement};
 use crate::association::exposure_patches::Patch;
 use crate::association::vignetting::Vignetting;
 use crate::numerics::channels::mean;
@@ -63,13 +63,13 @@ impl Solver<'_> {
 
     /// v by weighted least squares of the deviations from `gains`, each patch's constant eliminated.
     fn slope(&self, patches: &[&Patch], gains: &[[f64; 3]]) -> f64 {
-        let tolerance = self.tolerance(patches, gains);
+        let deviations = deviations(patches, gains);
+        let tolerance = self.tolerance_of(patches, &deviations);
         let (mut cross, mut square) = (0.0, 0.0);
-        for p in patches {
-            let deviations = p.deviations(gains);
-            let weights = p.robust_weights(&deviations, tolerance);
+        for (p, deviations) in patches.iter().zip(&deviations) {
+            let weights = p.robust_weights(deviations, tolerance);
             let total = weights.iter().sum::<f64>().max(1e-12);
-            let rows = || p.off_axis.iter().zip(&deviations).map(|(x, d)| (*x, mean(d))).zip(&weights);
+            let rows = || p.off_axis.iter().zip(deviations).map(|(x, d)| (*x, mean(d))).zip(&weights);
             let (x, y) = rows().fold((0.0, 0.0), |(x, y), ((dx, dy), w)| (x + w * dx / total, y + w * dy / total));
             for ((dx, dy), w) in rows() {
                 cross -= w * (dx - x) * (dy - y);
