@@ -17,6 +17,9 @@ pub const TUKEY: f64 = 4.685;
 /// Lower bound of the robust scale of residuals, in square roots of light.
 pub const MIN_SCALE: f64 = 1e-3;
 
+/// Edge pixels that tell by how many pixels a motion shifts all of them, at most.
+const SHIFTED: usize = 4096;
+
 /// (rotation vector, translation) in the camera's frame.
 pub type Motion = SVector<f64, 6>;
 type Matrix6 = SMatrix<f64, 6, 6>;
@@ -269,17 +272,16 @@ impl Problem<'_> {
     fn gauss_newton_step(&self, now: &Compared, moved: &Motion) -> Option<(Motion, f64)> {
         let scale = self.robust_scale(&now.residuals)?;
         let sums = dispatch(Isa::detect(), Summed { problem: self, now, scale });
-        let matrix = |columns: [Row; 6]| Matrix6::from_fn(|r, c| columns[c][r]);
-        let (mut hessian, motion) = (matrix(sums.hessian), matrix(sums.motion));
-        let mut gradient = Motion::from_fn(|r, _| sums.gradient[r]);
+        // The Cholesky decomposition reads no entry above the diagonal.
+        let mut hessian = Matrix6::from_fn(|r, c| if c <= r { sums.hessian[r * (r + 1) / 2 + c] } else { 0.0 });
+        let mut gradient = Motion::from(sums.gradient);
         let information = self.observations / (scale * scale);
         hessian *= information;
         gradient *= information;
         hessian += Matrix6::from_diagonal(&self.prior);
         gradient += self.prior.component_mul(&(moved - self.common));
         let step = -(hessian.cholesky()?.solve(&gradient));
-        let square = (step.transpose() * motion * step)[0] / self.pixels.len() as f64;
-        step.iter().all(|x| x.is_finite()).then(|| (step, square.sqrt()))
+        step.iter().all(|x| x.is_finite()).then(|| (step, self.rms_shift_px(&pose_of(&step))))
     }
 
     /// RMS motion in pixels at full resolution of the edge pixels, to the first order, under the total motion and under its
@@ -289,7 +291,7 @@ impl Problem<'_> {
         [*moved, translation].map(|motion| self.rms_shift_px(&pose_of(&motion)) / level)
     }
 
-    /// RMS motion in pixels of the edge pixels under `delta`.
+    /// RMS motion in pixels of the edge pixels under `delta`, by some of them.
     fn rms_shift_px(&self, delta: &Pose) -> f64 {
         let k = &self.target.camera;
         let square = |p: &EdgePixel| {
@@ -297,24 +299,24 @@ impl Problem<'_> {
             let (du, dv) = (k.fx * (q.x / q.z - p.point.x / p.point.z), k.fy * (q.y / q.z - p.point.y / p.point.z));
             du * du + dv * dv
         };
-        (self.pixels.iter().map(square).sum::<f64>() / self.pixels.len() as f64).sqrt()
+        let some = self.pixels.iter().step_by(self.pixels.len().div_ceil(SHIFTED));
+        let count = some.len();
+        (some.map(square).sum::<f64>() / count as f64).sqrt()
     }
 }
 
-/// Six numbers and two zeros, as wide as the widest registers.
-type Row = [f64; 8];
+/// Edge pixels that are summed side by side.
+const LANES: usize = 8;
+type Lanes = [f64; LANES];
+/// Entries of a symmetric matrix on and below its diagonal, row by row.
+const LOWER: usize = 21;
 
-#[inline(always)]
-fn row(j: &Motion) -> Row {
-    [j[0], j[1], j[2], j[3], j[4], j[5], 0.0, 0.0]
-}
-
-/// Sums over the edge pixels: Σ w Jᵀ ∇I ∇Iᵀ J, Σ w Jᵀ ∇I d and Σ Jᵀ J, matrices by columns.
-#[derive(Default)]
+/// Sums over the edge pixels.
 struct NormalSums {
-    hessian: [Row; 6],
-    gradient: Row,
-    motion: [Row; 6],
+    /// Σ w Jᵀ ∇I ∇Iᵀ J.
+    hessian: [f64; LOWER],
+    /// Σ w Jᵀ ∇I d.
+    gradient: [f64; 6],
 }
 
 /// What the edge pixels sum up to.
@@ -330,35 +332,44 @@ impl Hot for Summed<'_> {
     #[inline(always)]
     fn run(self) -> NormalSums {
         let Self { problem, now, scale } = self;
-        let NormalSums { mut hessian, mut gradient, mut motion } = NormalSums::default();
-        for &Seen { index, point, difference } in &now.seen {
-            let x = f64::from(now.residuals[index as usize]) / (scale * TUKEY);
-            if x.is_nan() || x >= 1.0 {
-                continue;
+        let camera = &problem.target.camera;
+        let (mut hessian, mut gradient) = ([Lanes::default(); LOWER], [Lanes::default(); 6]);
+        for seen in now.seen.chunks(LANES) {
+            // Points in front of the camera, and ∇I ∇Iᵀ and ∇I d with their weights; zero for outliers and past the end.
+            let [mut x, mut y, mut uu, mut uv, mut vv, mut gu, mut gv] = [Lanes::default(); 7];
+            let mut z = [1.0; LANES];
+            for (l, &Seen { index, point, difference }) in seen.iter().enumerate() {
+                let off = f64::from(now.residuals[index as usize]) / (scale * TUKEY);
+                // Written so that NaN fails too.
+                let weight = if off < 1.0 { (1.0 - off * off) * (1.0 - off * off) } else { 0.0 };
+                let EdgePixel { du, dv, .. } = problem.pixels[index as usize];
+                (x[l], y[l], z[l]) = (point.x, point.y, point.z);
+                (uu[l], uv[l], vv[l]) =
+                    (f64::from(du.dot(du)) * weight, f64::from(du.dot(dv)) * weight, f64::from(dv.dot(dv)) * weight);
+                (gu[l], gv[l]) = (f64::from(du.dot(difference)) * weight, f64::from(dv.dot(difference)) * weight);
             }
-            let weight = (1.0 - x * x) * (1.0 - x * x);
-            let p = &problem.pixels[index as usize];
-            let (ju, jv) = jacobian(point, &problem.target.camera);
-            let (ju, jv) = (row(&ju), row(&jv));
-            let (uu, uv, vv) = (p.du.dot(p.du), p.du.dot(p.dv), p.dv.dot(p.dv));
-            let (gu, gv) = (p.du.dot(difference), p.dv.dot(difference));
-            let (uu, uv, vv) = (f64::from(uu) * weight, f64::from(uv) * weight, f64::from(vv) * weight);
-            let (gu, gv) = (f64::from(gu) * weight, f64::from(gv) * weight);
-            let (mut a, mut b) = (Row::default(), Row::default());
-            for r in 0..8 {
-                (a[r], b[r]) = (ju[r] * uu + jv[r] * uv, ju[r] * uv + jv[r] * vv);
-            }
-            for c in 0..6 {
-                for r in 0..8 {
-                    hessian[c][r] += a[r] * ju[c] + b[r] * jv[c];
-                    motion[c][r] += ju[r] * ju[c] + jv[r] * jv[c];
+            let (mut ju, mut jv) = ([Lanes::default(); 6], [Lanes::default(); 6]);
+            for l in 0..LANES {
+                let (u, v) = jacobian(DVec3::new(x[l], y[l], z[l]), camera);
+                for r in 0..6 {
+                    (ju[r][l], jv[r][l]) = (u[r], v[r]);
                 }
             }
-            for r in 0..8 {
-                gradient[r] += ju[r] * gu + jv[r] * gv;
+            for r in 0..6 {
+                let (mut a, mut b) = (Lanes::default(), Lanes::default());
+                for l in 0..LANES {
+                    (a[l], b[l]) = (ju[r][l] * uu[l] + jv[r][l] * uv[l], ju[r][l] * uv[l] + jv[r][l] * vv[l]);
+                    gradient[r][l] += ju[r][l] * gu[l] + jv[r][l] * gv[l];
+                }
+                for c in 0..=r {
+                    for l in 0..LANES {
+                        hessian[r * (r + 1) / 2 + c][l] += a[l] * ju[c][l] + b[l] * jv[c][l];
+                    }
+                }
             }
         }
-        NormalSums { hessian, gradient, motion }
+        let sum = |lanes: Lanes| lanes.iter().sum();
+        NormalSums { hessian: hessian.map(sum), gradient: gradient.map(sum) }
     }
 }
 

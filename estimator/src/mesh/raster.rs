@@ -3,6 +3,9 @@
 use glam::{DVec3, Vec3};
 use recordings::types::{Intrinsics, Mesh, Pose};
 
+/// Weights may be off by so much from rounding.
+const SLACK: f64 = 1e-9;
+
 /// Index of no triangle.
 pub const MISS: u32 = u32::MAX;
 
@@ -38,10 +41,12 @@ impl Raster {
     /// Renders both sides of `triangles` over `points` in the camera's frame, clipped at the plane z = `near`.
     pub fn new(points: &[DVec3], triangles: &[[u32; 3]], camera: &Intrinsics, near: f64) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
-        let mut raster = Self { camera: *camera, triangle: vec![MISS; pixels], depth: vec![f32::INFINITY; pixels] };
+        let mut raster = Self { camera: *camera, triangle: vec![MISS; pixels], depth: Vec::new() };
+        // Linear in the image, as depth is not.
+        let mut inverse = vec![0.0; pixels];
         let project = |p: DVec3| {
-            let inverse = 1.0 / p.z;
-            (camera.fx * p.x * inverse + camera.cx, camera.fy * p.y * inverse + camera.cy, inverse)
+            let over = 1.0 / p.z;
+            (camera.fx * p.x * over + camera.cx, camera.fy * p.y * over + camera.cy, over)
         };
         let projected: Vec<(f64, f64, f64)> = points.iter().map(|p| project(*p)).collect();
         let pixels = points.iter().zip(&projected);
@@ -52,7 +57,7 @@ impl Raster {
             if [a, b, c].iter().all(|p| p.first[0] != Pixels::BEHIND.first[0]) {
                 // Most triangles are smaller than a pixel, or outside.
                 if let Some(pixels) = Pixels::between([a, b, c], camera) {
-                    raster.fill(index as u32, corners.map(|i| projected[i as usize]), pixels);
+                    raster.fill(&mut inverse, index as u32, corners.map(|i| projected[i as usize]), pixels);
                 }
                 continue;
             }
@@ -62,16 +67,17 @@ impl Raster {
                 for i in 2..polygon.len() {
                     let corners = [polygon[0], polygon[i - 1], polygon[i]].map(project);
                     if let Some(pixels) = Pixels::between(corners.map(Pixels::of), camera) {
-                        raster.fill(index as u32, corners, pixels);
+                        raster.fill(&mut inverse, index as u32, corners, pixels);
                     }
                 }
             }
         }
+        raster.depth = inverse.into_iter().map(|x| 1.0 / x).collect();
         raster
     }
 
-    /// Corners are (u, v, 1/depth).
-    fn fill(&mut self, index: u32, [a, b, c]: [(f64, f64, f64); 3], pixels: Pixels) {
+    /// Corners are (u, v, 1/depth), as are the values of `inverse`, which are 0 where there is nothing yet.
+    fn fill(&mut self, inverse: &mut [f32], index: u32, [a, b, c]: [(f64, f64, f64); 3], pixels: Pixels) {
         let k = &self.camera;
         let area = (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0);
         // Written so that NaN fails too.
@@ -79,24 +85,23 @@ impl Raster {
             return;
         }
         let width = k.width as usize;
-        let scale = 1.0 / area;
+        // Weights of b and c, and what they change by from column to column and from row to row.
+        let ([bu, bv], [cu, cv]) = ([c.1 - a.1, a.0 - c.0].map(|x| x / area), [a.1 - b.1, b.0 - a.0].map(|x| x / area));
         let ([left, top], [right, bottom]) = (pixels.first.map(|p| p as usize), pixels.end.map(|p| p as usize));
         for y in top..bottom {
-            let v = y as f64;
-            for x in left..right {
-                let u = x as f64;
-                let wb = ((u - a.0) * (c.1 - a.1) - (v - a.1) * (c.0 - a.0)) * scale;
-                let wc = ((b.0 - a.0) * (v - a.1) - (b.1 - a.1) * (u - a.0)) * scale;
+            let (u, v) = (left as f64 - a.0, y as f64 - a.1);
+            let (mut wb, mut wc) = (u * bu + v * bv, u * cu + v * cv);
+            let row = y * width + left..y * width + right;
+            for (nearest, triangle) in inverse[row.clone()].iter_mut().zip(&mut self.triangle[row]) {
                 // Inclusive, with slack for rounding, so that no pixel falls between two triangles.
-                if wb < -1e-9 || wc < -1e-9 || wb + wc > 1.0 + 1e-9 {
-                    continue;
+                if wb >= -SLACK && wc >= -SLACK && wb + wc <= 1.0 + SLACK {
+                    let here = (a.2 + wb * (b.2 - a.2) + wc * (c.2 - a.2)) as f32;
+                    if here > *nearest {
+                        (*nearest, *triangle) = (here, index);
+                    }
                 }
-                let depth = (1.0 / (a.2 + wb * (b.2 - a.2) + wc * (c.2 - a.2))) as f32;
-                let pixel = y * width + x;
-                if depth < self.depth[pixel] {
-                    self.depth[pixel] = depth;
-                    self.triangle[pixel] = index;
-                }
+                wb += bu;
+                wc += cu;
             }
         }
     }
