@@ -11,10 +11,9 @@ const REACH: usize = 2;
 /// Weight of an unreliable vertex; not 0, so that segments without other vertices are still estimated.
 const UNRELIABLE_WEIGHT: f32 = 0.05;
 
-/// Weight of every vertex, `[vertex]`: 1, or `UNRELIABLE_WEIGHT` near a border or crease.
+/// Weight of every vertex of a mesh and its `graph`, `[vertex]`: 1, or `UNRELIABLE_WEIGHT` near a border or crease.
 #[must_use]
-pub fn vertex_weights(mesh: &Mesh) -> Vec<f32> {
-    let graph = Graph::of(mesh);
+pub fn vertex_weights(mesh: &Mesh, graph: &Graph) -> Vec<f32> {
     let mut unreliable: Vec<bool> = (0..graph.vertices())
         .map(|i| graph.neighbours(i).iter().any(|&j| mesh.normals[i].dot(mesh.normals[j as usize]) < CREASE))
         .collect();
@@ -54,13 +53,13 @@ mod tests {
             }
         }
         let at = |i: u32, j: u32| (i * (n + 1) + j) as usize;
-        let flat = vertex_weights(&mesh);
+        let flat = vertex_weights(&mesh, &Graph::of(&mesh));
         assert_eq!(
             [flat[at(0, 6)], flat[at(2, 6)], flat[at(3, 6)], flat[at(6, 6)]],
             [UNRELIABLE_WEIGHT, UNRELIABLE_WEIGHT, 1.0, 1.0]
         );
         mesh.normals[at(6, 6)] = Vec3::new(0.6, 0.0, 0.8);
-        let creased = vertex_weights(&mesh);
+        let creased = vertex_weights(&mesh, &Graph::of(&mesh));
         assert_eq!(
             [creased[at(6, 6)], creased[at(3, 6)], creased[at(8, 4)]],
             [UNRELIABLE_WEIGHT, UNRELIABLE_WEIGHT, 1.0]

@@ -7,6 +7,7 @@
 
 mod bounces;
 mod irradiance;
+mod neighbours;
 mod sun;
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,6 @@
 //! The result of tracing: direct transfer, blocked shares and hits.
 
+use crate::mesh::graph::Graph;
 use crate::mesh::vertex_weight::vertex_weights;
 use crate::transfer::sun::Sun;
 use crate::transfer::vertex::{INDIRECT, cosine_lobe};
@@ -46,7 +47,7 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
         direct: direct.into(),
         blocked: vec![0.0; vertices],
         error: vec![0.0; vertices],
-        vertex_weight: vertex_weights(mesh),
+        vertex_weight: vertex_weights(mesh, &Graph::of(mesh)),
         rays: 0,
         offsets: vec![0; vertices + 1].into(),
         corners: Arc::default(),

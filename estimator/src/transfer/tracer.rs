@@ -1,8 +1,10 @@
 //! Rays from every vertex, in blocks that run in parallel.
 
+use crate::mesh::graph::Graph;
 use crate::mesh::vertex_weight::vertex_weights;
 use crate::numerics::random::CosineDirections;
 use crate::rays::RayScene;
+use crate::transfer::neighbours::share;
 use crate::transfer::traced::{Traced, unoccluded};
 use crate::transfer::vertex::{self, Hits, INDIRECT};
 use rayon::prelude::*;
@@ -126,13 +128,15 @@ impl Tracer<'_> {
             offsets.extend(ends.iter().map(|e| start + e));
             corners.extend(block);
         }
+        let graph = Graph::of(mesh);
+        share(&graph, &mesh.normals, bands, &mut direct, &mut error);
         let rays = range.end - range.start;
         Some(Traced {
             bands,
             direct: direct.into(),
             blocked,
             error,
-            vertex_weight: vertex_weights(mesh),
+            vertex_weight: vertex_weights(mesh, &graph),
             rays,
             offsets: offsets.into(),
             corners: corners.into(),

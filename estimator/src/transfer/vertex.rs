@@ -15,6 +15,11 @@ pub(super) const INDIRECT: usize = INDIRECT_BANDS * INDIRECT_BANDS;
 /// Norm of the error over half the difference of the two half sets of rays. Measured against reference transfers.
 const HALVES_TO_WHOLE: f64 = 0.68;
 
+/// False for a normal that tells no direction.
+pub(super) fn is_unit(normal: Vec3) -> bool {
+    (normal.length_squared() - 1.0).abs() < 1e-2
+}
+
 /// Closed-form transfer of an unblocked vertex: A_l Y_k(n) / π, to `row`: `[k]`.
 pub(super) fn cosine_lobe(normal: Vec3, row: &mut [f32]) {
     sh::eval_f32(normal, row);
@@ -93,7 +98,7 @@ impl Hot for Trace<'_, '_> {
         let Self { target: (mesh, scene), directions, vertex, range, row, hits } = self;
         let (position, normal) = (mesh.positions[vertex], mesh.normals[vertex]);
         let rays = range.end - range.start;
-        if rays == 0 || !position.is_finite() || !(normal.length_squared() - 1.0).abs().lt(&1e-2) {
+        if rays == 0 || !position.is_finite() || !is_unit(normal) {
             return (0.0, 0.0);
         }
         let origin = scene.offset_origin(position, normal);

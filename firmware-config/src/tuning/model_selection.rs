@@ -17,8 +17,8 @@ section! {
         pilot_vertices: u32 = 1024, [16..=1000000], "vertices", "";
         /// Rays per vertex of the pilot, and of the first transfer.
         pilot_rays: u32 = 64, [8..=65536], "rays", "";
-        /// Error of the transfer that is allowed, as a share of the held-out error. Source: a tenth of the variance.
-        transfer_error_share: f64 = 0.316, [0.001..=10.0], "", "";
+        /// Error of the transfer that is allowed, as a share of the held-out error. Source: a sixteenth of the variance.
+        transfer_error_share: f64 = 0.25, [0.001..=10.0], "", "";
         /// Largest number of rays per vertex that is chosen.
         max_rays: u32 = 1024, [8..=65536], "rays", "N";
         /// Relative error of a lit colour, however often it was seen: visibility and bounces below it are not modelled. Source: measured on the rendered scenes.
