@@ -7,6 +7,7 @@ use crate::association::exposure::{self, Exposures};
 use crate::association::exposure_patches::ExposureProblem;
 use crate::association::haze::LeftOut;
 use crate::association::keyframe_image::KeyframeImage;
+use crate::association::lampless_air::LamplessAir;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, Lens, RefinedView, always_clipped, are_exposed};
@@ -124,6 +125,7 @@ pub fn associate_within(
         veils,
         lens: Lens { veil_share: 0.0, vignetting },
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
+        lampless_air: LamplessAir::new(&images, &poses, context.clipped),
         reliability,
         lit_color: lit.color,
         lit_weight: lit.weight,

@@ -3,7 +3,8 @@
 //!
 //! Eligible samples, Eqs. (3) and (4): [`eligibility`], [`sampling`]; lit colours, Eq. (2): [`lit_color`], how far they can be trusted:
 //! [`reliability`]; exposures, Eq. (5): [`exposure`] from [`exposure_patches`], again from matte surfaces in [`re_exposure`], without keyframes that show more glare than surface, [`haze`]; poses, by Lucas–Kanade against the predicted image: [`pose`],
-//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air. [`veil`] is the
+//! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air, [`lampless_air`] is where
+//! they show that there is none. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations. [`vignetting`] is what the corners lack.
 
 pub mod alignment;
@@ -16,6 +17,7 @@ mod exposure_vignetting;
 pub mod haze;
 pub mod image_filters;
 pub mod keyframe_image;
+pub mod lampless_air;
 pub mod light_field;
 pub mod lit_color;
 pub mod moving_camera;

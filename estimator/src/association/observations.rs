@@ -1,5 +1,6 @@
 //! The result of association: observations of the vertices by the keyframes, lit colours, exposures and poses.
 
+use crate::association::lampless_air::LamplessAir;
 use crate::association::seen_lamps::SeenLamp;
 use crate::association::veil::Veil;
 use crate::association::vignetting::Vignetting;
@@ -72,6 +73,8 @@ pub struct Association {
     pub lens: Lens,
     /// Lamps that the pictures show in the air.
     pub seen_lamps: Vec<SeenLamp>,
+    /// Where they show that there is none.
+    pub lampless_air: LamplessAir,
     /// Exposure model and pose refinement, with their evidence.
     pub decisions: Vec<Decision>,
     /// Linear samples below this are not used for exposures.

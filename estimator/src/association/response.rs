@@ -97,6 +97,7 @@ fn value(response: &Response, linear: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::lampless_air::LamplessAir;
     use crate::association::observations::{Lens, RefinedView};
     use firmware_config::tuning::ExposureTuning;
     use glam::Vec3;
@@ -137,6 +138,7 @@ mod tests {
             veils: Vec::new(),
             lens: Lens::default(),
             seen_lamps: Vec::new(),
+            lampless_air: LamplessAir::default(),
             lit_color: vec![Vec3::ONE; n as usize],
             lit_weight: vec![1.0; n as usize],
             reliability: vec![1.0; n as usize],

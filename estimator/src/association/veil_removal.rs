@@ -76,6 +76,7 @@ impl Association {
 mod tests {
     use super::*;
     use crate::association::keyframe_image::KeyframeImage;
+    use crate::association::lampless_air::LamplessAir;
     use crate::association::observations::Lens;
     use crate::association::veil::Veil;
     use crate::association::vignetting::Vignetting;
@@ -115,6 +116,7 @@ mod tests {
             veils: vec![Some(veil)],
             lens: Lens::default(),
             seen_lamps: Vec::new(),
+            lampless_air: LamplessAir::default(),
             decisions: Vec::new(),
             dark_below: 0.0,
             exposure: firmware_config::tuning::ExposureTuning::default(),

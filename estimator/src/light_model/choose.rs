@@ -1,6 +1,7 @@
 //! The model of light that held-out surface asks for: distant light first, then secondary light as it was observed, emitting
 //! surfaces, lamps beside the scene; a smooth function of position and normal where none of them explains more.
 
+use crate::association::lampless_air::LamplessAir;
 use crate::factorisation::albedo::{self, Detail, Evidence};
 use crate::factorisation::held_out::mean;
 use crate::factorisation::scale::{self, Fixed, Scaled};
@@ -40,7 +41,9 @@ const LEAVES_OF_NONE: f64 = 0.35;
 const EXPLAINS: f64 = 0.08;
 /// Distant light that leaves no more than this unexplained is not questioned: colours themselves err by about as much.
 const UNQUESTIONED: f64 = 0.03;
-/// Nor is a model where it leaves less than this share of what a smooth function of position and normal leaves.
+/// Nor is it where it leaves less than this share of what a smooth function of position and normal leaves, …
+const PLAIN: f64 = 0.35;
+/// … nor another model where it leaves less than this share.
 const CLEAR: f64 = 0.5;
 /// A clipped piece beside other sources is a source if without it, reflecting what arrives there, this many times as much is unexplained.
 /// What sources light most is clipped in every picture, and its light stands in for errors of theirs.
@@ -71,6 +74,8 @@ pub struct Scene<'a> {
     pub unseen_radiates: bool,
     /// Lamps that the pictures show: only how bright they are is asked.
     pub seen_lamps: &'a [Sphere],
+    /// Where they show that there is none.
+    pub lampless_air: &'a LamplessAir,
     /// What pictures show beyond the scene.
     pub background: &'a SeenBackground,
     /// What tells paints apart; `None` where segments stay as they are.
@@ -127,7 +132,7 @@ pub fn choose(
     let smoothed = error(&|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize));
     let unexplained = smoothed.min(flat);
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
-    let questioned = mean(&distant) > UNQUESTIONED.max(CLEAR * unexplained) && distant.len() > 1;
+    let questioned = mean(&distant) > UNQUESTIONED.max(PLAIN * unexplained) && distant.len() > 1;
     let mut searches = 0;
     if questioned && may_search() {
         searches += 1;

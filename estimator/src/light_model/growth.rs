@@ -71,6 +71,19 @@ impl Choice<'_> {
         if best.lamps.is_empty() {
             return best;
         }
+        // The first lamps were placed as if there were no others, which may stand for them.
+        for l in (self.told(&best)..best.lamps.len()).rev() {
+            if best.lamps.len() < 2 {
+                break;
+            }
+            let mut lamps = best.lamps.clone();
+            lamps.remove(l);
+            let without = solved(&best.emitters, &lamps);
+            if !is_better(&best.blocks, &without.blocks) {
+                best = without;
+                note(&best);
+            }
+        }
         // A lamp that was not there yet may have been taken for emission, …
         for p in self.seen(&best.emitters) {
             let without = solved(&best.emitters_without(p), &best.lamps);
@@ -158,10 +171,15 @@ impl Choice<'_> {
         self.with_lamp(&self.solved(emitters, &model.lamps, REGULARISATION), model.lamps.len())
     }
 
+    /// Lamps, the first ones, whose places pictures tell.
+    fn told(&self, model: &Model) -> usize {
+        if model.lamps.starts_with(self.scene.seen_lamps) { self.scene.seen_lamps.len() } else { 0 }
+    }
+
     /// Looks for the place of each lamp that was not seen again, the others held, while that explains more: where there are several, the
     /// first ones were placed as if there were no others.
     fn placed_again(&self, mut best: Model) -> Model {
-        let told = if best.lamps.starts_with(self.scene.seen_lamps) { self.scene.seen_lamps.len() } else { 0 };
+        let told = self.told(&best);
         // Lamps whose search would find what it found, since no other lamp has moved after it.
         let mut settled = 0;
         for _ in 0..PLACINGS {
@@ -190,7 +208,8 @@ impl Choice<'_> {
 
     /// The model with one more lamp, number `at`, where it fits best; `None` if it fits as well at infinity.
     fn with_lamp(&self, model: &Model, at: usize) -> Option<Model> {
-        let places = self.search(&model.emitters, &model.lamps).best_places();
+        let is_possible = |place: &Vec3| !self.scene.lampless_air.has_no_lamp(self.scene.rays, *place);
+        let places = self.search(&model.emitters, &model.lamps).best_places(is_possible);
         let (low, high) = samples::bounds(self.scene.mesh);
         let middle = 0.5 * (low + high);
         let solved = |sphere: Sphere| {

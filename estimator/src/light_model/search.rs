@@ -74,9 +74,9 @@ impl<'a> Search<'a> {
         Self { mesh, scene, samples, columns, projection, values, without, is_first }
     }
 
-    /// The best places, seen as points; none where no place explains anything.
+    /// The best of the places that are possible, seen as points; none where no place explains anything.
     #[must_use]
-    pub fn best_places(&self) -> Vec<Vec3> {
+    pub fn best_places(&self, is_possible: impl Fn(&Vec3) -> bool + Sync) -> Vec<Vec3> {
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();
         let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
@@ -88,7 +88,9 @@ impl<'a> Search<'a> {
                 }
             }
         }
-        self.best_of(&places, step, SOLVED, SOLVED)
+        let places: Vec<Vec3> = places.into_par_iter().filter(&is_possible).collect();
+        let refined = self.best_of(&places, step, SOLVED, SOLVED);
+        refined.into_iter().filter(is_possible).collect()
     }
 
     /// Unit vectors from the scene towards the best lamps at infinity; none where no lamp explains anything.

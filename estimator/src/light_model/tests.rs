@@ -1,5 +1,6 @@
 //! A desk with a box in a corner of two walls, under a lamp or under a uniform sky: lit colours as the model makes them.
 
+use crate::association::lampless_air::LamplessAir;
 use crate::factorisation::{Colors, FactorisationOptions, SeenBackground, factorise};
 use crate::light_model::choose::{self, Chosen, Near};
 use crate::light_model::division::Division;
@@ -116,6 +117,7 @@ fn chosen_with(
         colors,
         unseen_radiates,
         seen_lamps: &[],
+        lampless_air: &LamplessAir::default(),
         background: &SeenBackground::default(),
         divided_by,
     };

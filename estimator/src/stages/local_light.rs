@@ -42,12 +42,13 @@ pub fn select_local_light(
     let paints = &config.tuning.segmentation;
     let choose = |prepared: &Prepared, found: &Factorised, lit_weight: &[f32], trial: Trial, run: &mut Run| {
         let colors = Colors { lit_weight, ..prepared.colors() };
-        let Prepared { mesh, scene: rays, background, .. } = prepared;
+        let Prepared { mesh, scene: rays, background, fields, .. } = prepared;
         let unseen_radiates = trial == Trial::UnseenRadiates;
         // As segmented, divided, and the final one.
         let divided_by = (trial == Trial::First && run.plan.fits_local_light(3)).then_some(paints);
-        let (seen_lamps, background) = (&seen_lamps, &background.evidence);
-        let scene = choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps, background, divided_by };
+        let (seen_lamps, lampless_air, background) = (&seen_lamps, &fields.lampless_air, &background.evidence);
+        let scene =
+            choose::Scene { mesh, rays, colors, unseen_radiates, seen_lamps, lampless_air, background, divided_by };
         let chosen = choose::choose(&scene, found, options, &mut || tuning.near_light && run.plan.local_light());
         if chosen.searches > 0 {
             run.plan.local_light_done(chosen.searches);
