@@ -40,7 +40,8 @@ fn transfer_error(truth: &Truth, traced: Traced) -> [f64; 3] {
             }
         }
     }
-    [(off[0] / size[0]).sqrt(), (off[1] / size[1]).sqrt(), (stated / size[0]).sqrt()]
+    let stated = transfer.traced.shared * (stated / size[0]).sqrt();
+    [(off[0] / size[0]).sqrt(), (off[1] / size[1]).sqrt(), stated]
 }
 
 fn tracer<'a>(mesh: &'a Mesh, scene: &'a RayScene) -> Tracer<'a> {

@@ -16,8 +16,9 @@ const DIFFERENCE: f32 = 1.25;
 
 /// Averages the blocked part of the transfer over every vertex and its neighbours, a neighbour by how well both agree (Buades, Coll and
 /// Morel, "A non-local algorithm for image denoising", 2005). The unblocked part is known without rays. `direct` is
-/// `[vertex][bands²]`, `error` `[vertex]`, as in [`crate::transfer::Traced`]; the averages and their errors take their place.
-pub(super) fn share(graph: &Graph, normals: &[Vec3], bands: usize, direct: &mut [f32], error: &mut [f32]) {
+/// `[vertex][bands²]`, `error` `[vertex]`, as in [`crate::transfer::Traced`]; the averages take its place. Returns their error over what it
+/// was, over all vertices.
+pub(super) fn share(graph: &Graph, normals: &[Vec3], bands: usize, direct: &mut [f32], error: &[f32]) -> f64 {
     let k = bands * bands;
     let mut blocked = direct.to_vec();
     blocked.par_chunks_mut(k).zip(normals).for_each(|(row, n)| add_lobe(row, *n, -1.0));
@@ -34,10 +35,10 @@ pub(super) fn share(graph: &Graph, normals: &[Vec3], bands: usize, direct: &mut 
         let weight = facing * libm::expf(-excess);
         if weight > 0.0 { weight } else { 0.0 }
     };
-    direct.par_chunks_mut(k).zip(error).enumerate().for_each(|(i, (average, error))| {
+    let average = |(i, average): (usize, &mut [f32])| {
         // Rays that all escape or all are blocked leave nothing to average: no light at all stays none.
-        if *error == 0.0 {
-            return;
+        if error[i] == 0.0 {
+            return 0.0;
         }
         average.copy_from_slice(row(i));
         let (mut total, mut squares) = (1.0, variance[i]);
@@ -49,8 +50,11 @@ pub(super) fn share(graph: &Graph, normals: &[Vec3], bands: usize, direct: &mut 
         }
         average.iter_mut().for_each(|sum| *sum /= total);
         add_lobe(average, normals[i], 1.0);
-        *error = if total > 1.0 { DIFFERENCE * squares.sqrt() / total } else { *error };
-    });
+        f64::from(if total > 1.0 { DIFFERENCE * DIFFERENCE * squares / (total * total) } else { squares })
+    };
+    let left: Vec<f64> = direct.par_chunks_mut(k).enumerate().map(average).collect();
+    let own: f64 = error.iter().map(|e| f64::from(*e).powi(2)).sum();
+    if own > 0.0 { libm::sqrt(left.iter().sum::<f64>() / own) } else { 1.0 }
 }
 
 /// Adds the transfer of an unblocked vertex times a factor; nothing where the normal is none and no ray was traced.
@@ -72,7 +76,7 @@ mod tests {
     const NOISE: f32 = 0.03;
 
     /// Root mean square over the vertices of what `direct` is off, as a norm, for a flat square whose transfer is what `blocked` says of
-    /// the column, with noise, before and after; and the mean error that is stated then.
+    /// the column, with noise, before and after; and the error that is stated then.
     fn off(blocked: impl Fn(u32) -> f32, noise: f32) -> [f32; 3] {
         let count = SIDE * SIDE;
         let mut triangles = Vec::new();
@@ -86,14 +90,14 @@ mod tests {
         // Uniform, with a standard deviation of `noise`.
         let draw = |i: usize| 12f32.sqrt() * noise * (unit(hash(i as u32, 5)) - 0.5);
         let mut direct: Vec<f32> = (0..count as usize * k).map(|i| value(i) + draw(i)).collect();
-        let mut error = vec![noise * (k as f32).sqrt(); count as usize];
+        let error = vec![noise * (k as f32).sqrt(); count as usize];
         let rms = |direct: &[f32]| {
             let square: f32 = direct.iter().enumerate().map(|(i, t)| (t - value(i)).powi(2)).sum();
             (square / count as f32).sqrt()
         };
         let before = rms(&direct);
-        share(&Graph::new(count as usize, &triangles), &normals, BANDS, &mut direct, &mut error);
-        [before, rms(&direct), error.iter().sum::<f32>() / count as f32]
+        let left = share(&Graph::new(count as usize, &triangles), &normals, BANDS, &mut direct, &error);
+        [before, rms(&direct), left as f32 * error[0]]
     }
 
     #[test]

@@ -20,8 +20,10 @@ pub struct Traced {
     pub direct: Arc<Vec<f32>>,
     /// Cosine-weighted share of the hemisphere that is blocked: `[vertex]`.
     pub blocked: Vec<f32>,
-    /// Estimated error of the first five bands of `direct`, as a norm over them: `[vertex]`.
+    /// Estimated error of the first five bands of what the vertex's own rays say, as a norm over them: `[vertex]`.
     pub error: Vec<f32>,
+    /// Error of `direct` over that, over all vertices, since neighbours share their rays.
+    pub shared: f64,
     /// Weight in the equations of the light, small at rims and creases, where normals are unreliable: `[vertex]`.
     pub vertex_weight: Vec<f32>,
     /// Rays per vertex.
@@ -47,6 +49,7 @@ pub fn unoccluded(mesh: &Mesh, bands: usize) -> Traced {
         direct: direct.into(),
         blocked: vec![0.0; vertices],
         error: vec![0.0; vertices],
+        shared: 1.0,
         vertex_weight: vertex_weights(mesh, &Graph::of(mesh)),
         rays: 0,
         offsets: vec![0; vertices + 1].into(),
@@ -69,7 +72,7 @@ impl Traced {
         self.blocked.iter().map(|b| f64::from(*b)).sum::<f64>() / self.vertices().max(1) as f64
     }
 
-    /// Relative standard error of the first five bands over all vertices: ‖error‖ / ‖transfer‖.
+    /// Relative standard error of the first five bands over all vertices.
     #[must_use]
     pub fn relative_error(&self) -> f64 {
         let k = self.bands * self.bands;
@@ -79,10 +82,11 @@ impl Traced {
             .chunks(k)
             .map(|row| row.iter().take(INDIRECT).map(|t| f64::from(*t).powi(2)).sum::<f64>())
             .sum();
-        if size > 0.0 { libm::sqrt(error / size) } else { 0.0 }
+        if size > 0.0 { self.shared * libm::sqrt(error / size) } else { 0.0 }
     }
 
-    /// Error of the first five bands relative to their norm, at most 10: `[vertex]`.
+    /// Error of the first five bands by the vertex's own rays relative to their norm, at most 10: `[vertex]`. What is left of it where
+    /// neighbours share their rays is alike in all of them, as paint is.
     #[must_use]
     pub fn relative_errors(&self) -> Vec<f32> {
         let k = self.bands * self.bands;

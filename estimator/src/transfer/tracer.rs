@@ -129,13 +129,14 @@ impl Tracer<'_> {
             corners.extend(block);
         }
         let graph = Graph::of(mesh);
-        share(&graph, &mesh.normals, bands, &mut direct, &mut error);
+        let shared = share(&graph, &mesh.normals, bands, &mut direct, &error);
         let rays = range.end - range.start;
         Some(Traced {
             bands,
             direct: direct.into(),
             blocked,
             error,
+            shared,
             vertex_weight: vertex_weights(mesh, &graph),
             rays,
             offsets: offsets.into(),
