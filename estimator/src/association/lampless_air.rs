@@ -2,6 +2,7 @@
 
 use crate::association::image_filters::dilated;
 use crate::association::keyframe_image::KeyframeImage;
+use crate::association::seen_lamps::is_free;
 use crate::rays::RayScene;
 use glam::{DVec3, Vec3};
 use recordings::types::{Intrinsics, Pose};
@@ -28,8 +29,8 @@ struct View {
     camera: Intrinsics,
     /// Pixels along a side of a cell.
     step: usize,
-    /// Cells in a row.
-    width: usize,
+    /// Cells in a row, and rows.
+    size: [usize; 2],
     /// Nothing in the cell and around it has a clipped channel: `[row][column]`.
     is_dark: Vec<bool>,
 }
@@ -45,7 +46,8 @@ impl LamplessAir {
     /// True if several keyframes look at a place through free air and see nothing bright there. A lamp that lights a scene is clipped.
     #[must_use]
     pub fn has_no_lamp(&self, scene: &RayScene, place: Vec3) -> bool {
-        let dark = self.views.iter().filter(|view| view.is_dark_at(place) && view.is_free(scene, place));
+        let place = place.as_dvec3();
+        let dark = self.views.iter().filter(|view| view.is_dark_at(place) && is_free(scene, view.center, place, 0.0));
         dark.take(LEAST_VIEWS).count() == LEAST_VIEWS
     }
 }
@@ -69,24 +71,17 @@ impl View {
             center: world_from_camera.translation,
             camera,
             step,
-            width,
+            size: [width, height],
             is_dark: near_bright.into_iter().enumerate().map(is_dark).collect(),
         }
     }
 
-    fn is_dark_at(&self, place: Vec3) -> bool {
-        let p = self.camera_from_world.transform(place.as_dvec3());
+    fn is_dark_at(&self, place: DVec3) -> bool {
+        let p = self.camera_from_world.transform(place);
         let (u, v) = self.camera.project(p);
         let is_inside = p.z > 0.0 && u >= 0.0 && v >= 0.0;
-        let (x, y) = (u as usize / self.step, v as usize / self.step);
-        is_inside && x < self.width && self.is_dark.get(y * self.width + x) == Some(&true)
-    }
-
-    /// True if no surface is between the camera and a place.
-    fn is_free(&self, scene: &RayScene, place: Vec3) -> bool {
-        let to = place.as_dvec3() - self.center;
-        let distance = to.length();
-        !scene.occluded_within(self.center.as_vec3(), (to / distance).as_vec3(), distance as f32)
+        let ([x, y], [width, height]) = ([u, v].map(|pixel| pixel as usize / self.step), self.size);
+        is_inside && x < width && y < height && self.is_dark[y * width + x]
     }
 }
 

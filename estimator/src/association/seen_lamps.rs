@@ -164,7 +164,7 @@ fn meeting_point(spots: &[Spot], weight: impl Fn(&Spot) -> f64) -> Option<DVec3>
 }
 
 /// True if no surface is between a camera and the far side of a ball.
-fn is_free(scene: &RayScene, origin: DVec3, center: DVec3, radius: f64) -> bool {
+pub(super) fn is_free(scene: &RayScene, origin: DVec3, center: DVec3, radius: f64) -> bool {
     let to = center - origin;
     let distance = to.length();
     !scene.occluded_within(origin.as_vec3(), (to / distance).as_vec3(), (distance + FREE_RADII * radius) as f32)
