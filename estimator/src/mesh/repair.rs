@@ -32,27 +32,22 @@ pub fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
         (Some(a), Some(b), Some(c)) => (b - a).cross(c - a).length_squared() > 0.0,
         _ => false,
     };
-    // Sets of corners, by their smallest.
-    let mut starts = vec![0_u32; mesh.positions.len() + 1];
-    let smallest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
-    mesh.triangles.iter().filter(|t| usable(t)).for_each(|t| starts[smallest(t) + 1] += 1);
-    (0..mesh.positions.len()).for_each(|i| starts[i + 1] += starts[i]);
-    let mut sets = vec![([0; 2], 0_u32); starts[mesh.positions.len()] as usize];
-    let mut next = starts.clone();
-    for (index, t) in (0..).zip(&mesh.triangles).filter(|(_, t)| usable(t)) {
-        let at = &mut next[smallest(t)];
-        let mut corners = *t;
-        corners.sort_unstable();
-        sets[*at as usize] = ([corners[1], corners[2]], index);
-        *at += 1;
-    }
-    let mut is_first = vec![false; mesh.triangles.len()];
-    for ends in starts.windows(2) {
-        let same = &mut sets[ends[0] as usize..ends[1] as usize];
-        same.sort_unstable();
-        same.chunk_by(|a, b| a.0 == b.0).for_each(|equal| is_first[equal[0].1 as usize] = true);
-    }
-    mesh.triangles.iter().zip(is_first).filter(|(_, first)| *first).map(|(t, _)| *t).collect()
+    let mut keyed: Vec<([u32; 3], usize)> = mesh
+        .triangles
+        .iter()
+        .enumerate()
+        .filter(|(_, t)| usable(t))
+        .map(|(index, t)| {
+            let mut key = *t;
+            key.sort_unstable();
+            (key, index)
+        })
+        .collect();
+    keyed.par_sort_unstable();
+    keyed.dedup_by_key(|k| k.0);
+    let mut kept: Vec<usize> = keyed.into_iter().map(|k| k.1).collect();
+    kept.sort_unstable();
+    kept.into_iter().map(|i| mesh.triangles[i]).collect()
 }
 
 /// Unit vertex normals, triangles weighted by area; +Z for vertices without a triangle.
