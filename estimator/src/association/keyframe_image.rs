@@ -57,21 +57,20 @@ impl KeyframeImage {
     /// `table` maps 8-bit values to linear light, freed of vignetting. `None` if the window leaves the image.
     pub fn sample(&self, table: &[f32; 256], u: f64, v: f64, radius: f64) -> Option<WindowSample> {
         let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
-        let (left, top) = ((u - radius).ceil(), (v - radius).ceil());
-        let (right, bottom) = ((u + radius).floor(), (v + radius).floor());
+        let (left, top, right, bottom) = (u - radius, v - radius, u + radius, v + radius);
         // Written so that NaN fails too.
-        if !(left >= 0.0 && top >= 0.0 && right < w && bottom < h) {
+        if !(left > -1.0 && top > -1.0 && right < w && bottom < h) {
             return None;
         }
         let mut sum = [0.0_f32; 3];
         let (mut total, mut squares, mut brightest) = (0.0_f32, 0.0_f32, 0_u8);
-        let (first, end) = (left as usize, right as usize + 1);
-        for y in top as usize..=bottom as usize {
-            let wy = (radius - (y as f64 - v).abs()).max(0.0);
-            let row = &self.data[3 * y * self.camera.width as usize..];
-            let (row, _) = row[3 * first..3 * end].as_chunks::<3>();
+        let (first, end) = (least_above(left), right as u32 + 1);
+        for y in least_above(top)..=bottom as u32 {
+            let wy = (radius - (f64::from(y) - v).abs()).max(0.0);
+            let row = &self.data[3 * y as usize * self.camera.width as usize..];
+            let (row, _) = row[3 * first as usize..3 * end as usize].as_chunks::<3>();
             for (x, value) in (first..).zip(row) {
-                let weight = (wy * (radius - (x as f64 - u).abs()).max(0.0)) as f32;
+                let weight = (wy * (radius - (f64::from(x) - u).abs()).max(0.0)) as f32;
                 if weight <= 0.0 {
                     continue;
                 }
@@ -90,6 +89,12 @@ impl KeyframeImage {
             pixels: total * total / squares,
         })
     }
+}
+
+/// The least whole number that is not below `x`, which is above −1. `f64::ceil` is a call on most processors.
+fn least_above(x: f64) -> u32 {
+    let below = x as u32;
+    below + u32::from(x > f64::from(below))
 }
 
 /// Position (u, v) in the distorted image of pixel (x, y) of the ideal pinhole camera; `None` outside the image.
@@ -121,4 +126,18 @@ fn undistort(source: &[u8], camera: &CameraModel) -> Vec<u8> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_least_whole_number_above_is_the_ceiling(x in -0.999_f64..5000.0, whole in 0u32..5000) {
+            prop_assert_eq!(f64::from(least_above(x)), x.ceil());
+            prop_assert_eq!(least_above(f64::from(whole)), whole);
+        }
+    }
 }
