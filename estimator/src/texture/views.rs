@@ -148,8 +148,7 @@ impl TextureView {
         }
         let footprint = p.z / self.focal;
         let hidden = tuning.hidden_edges * f64::from(context.median_edge) + tuning.hidden_footprints * footprint;
-        // Both are above the cut border: a half more rounds them without a call.
-        let (x, y) = ((u + 0.5) as isize, (v + 0.5) as isize);
+        let (x, y) = (u.round() as isize, v.round() as isize);
         let seen = |(dx, dy): &(isize, isize)| {
             let depth = self.depth[((y + dy) * k.width as isize + x + dx) as usize];
             p.z <= f64::from(depth) + hidden
