@@ -76,7 +76,7 @@ impl<'a> Search<'a> {
 
     /// The best of the places that are possible, seen as points; none where no place explains anything.
     #[must_use]
-    pub fn best_places(&self, is_possible: impl Fn(&Vec3) -> bool + Sync) -> Vec<Vec3> {
+    pub fn best_places(&self, is_possible: impl Fn(&Vec3) -> bool + Sync + Send) -> Vec<Vec3> {
         let (low, high) = samples::bounds(self.mesh);
         let margin = MARGIN * (high - low).max_element();
         let step = (high - low + 2.0 * margin) / Vec3::from_array(LATTICE.map(|n| (n - 1) as f32));
@@ -89,8 +89,9 @@ impl<'a> Search<'a> {
             }
         }
         let places: Vec<Vec3> = places.into_par_iter().filter(&is_possible).collect();
-        let refined = self.best_of(&places, step, SOLVED, SOLVED);
-        refined.into_iter().filter(is_possible).collect()
+        let best = self.best_of(&places, step, SOLVED, SOLVED);
+        let refined = |best| self.refined(best, &[Vec3::X, Vec3::Y, Vec3::Z], step.min_element());
+        best.into_par_iter().map(refined).filter(|place| is_possible(place)).collect()
     }
 
     /// Unit vectors from the scene towards the best lamps at infinity; none where no lamp explains anything.
@@ -100,13 +101,17 @@ impl<'a> Search<'a> {
         let (middle, distance) = (0.5 * (low + high), FAR * low.distance(high));
         let places: Vec<Vec3> =
             sh::even_directions(DIRECTIONS).iter().map(|d| middle + d.as_vec3() * distance).collect();
-        let apart = (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
-        let refined = self.best_of(&places, Vec3::splat(apart * distance), DIRECTIONS_SOLVED, DIRECTIONS_REFINED);
-        refined.into_iter().map(|place| (place - middle).normalize_or_zero()).collect()
+        let step = distance * (4.0 * std::f32::consts::PI / DIRECTIONS as f32).sqrt();
+        let best = self.best_of(&places, Vec3::splat(step), DIRECTIONS_SOLVED, DIRECTIONS_REFINED);
+        let refined = |best: (f64, Vec3)| {
+            let (across, up) = (best.1 - middle).normalize_or(Vec3::Z).any_orthonormal_pair();
+            (self.refined(best, &[across, up], step) - middle).normalize_or_zero()
+        };
+        best.into_par_iter().map(refined).collect()
     }
 
-    /// The best of these places, `step` apart, so many of them solved and the best of those refined.
-    fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, refined: usize) -> Vec<Vec3> {
+    /// The best of these places, `step` apart, with their costs; so many of them are solved, and so many of those remain.
+    fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, remain: usize) -> Vec<(f64, Vec3)> {
         let gains = self.gains(places);
         let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
         order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
@@ -121,13 +126,13 @@ impl<'a> Search<'a> {
         }
         let mut tried: Vec<(f64, Vec3)> = apart.into_par_iter().map(|p| (self.cost(p), p)).collect();
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
-        tried.truncate(refined);
+        tried.truncate(remain);
         // A first lamp explains much of what is left, if there is any.
         let most = if self.is_first { HOPEFUL * self.unexplained(&self.without) } else { f64::INFINITY };
         if tried.first().is_none_or(|best| best.0 > most) {
             return Vec::new();
         }
-        tried.into_par_iter().map(|t| self.refined(t, step.min_element())).collect()
+        tried
     }
 
     /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
@@ -226,39 +231,39 @@ impl<'a> Search<'a> {
         if total > 0.0 { sum / total } else { f64::INFINITY }
     }
 
-    /// Nelder and Mead's simplex, from a place of the lattice.
-    fn refined(&self, from: (f64, Vec3), step: f32) -> Vec3 {
+    /// Nelder and Mead's simplex, from a place of the lattice along these axes.
+    fn refined(&self, from: (f64, Vec3), axes: &[Vec3], step: f32) -> Vec3 {
         let cost = |place: Vec3| (self.cost(place), place);
         let mut simplex = vec![from];
-        simplex
-            .par_extend([Vec3::X, Vec3::Y, Vec3::Z].into_par_iter().map(|axis| cost(from.1 + axis * (SIMPLEX * step))));
-        let mut evaluations = 3;
+        simplex.par_extend(axes.par_iter().map(|axis| cost(from.1 + *axis * (SIMPLEX * step))));
+        let last = axes.len();
+        let mut evaluations = last;
         while evaluations < EVALUATIONS {
             simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
             let edge = simplex.iter().map(|v| v.1.distance(simplex[0].1)).fold(0.0, f32::max);
             if edge < SETTLED * step {
                 break;
             }
-            let center = (simplex[0].1 + simplex[1].1 + simplex[2].1) / 3.0;
-            let worst = simplex[3];
+            let center = simplex[..last].iter().map(|v| v.1).sum::<Vec3>() / last as f32;
+            let worst = simplex[last];
             let reflected = cost(center + (center - worst.1));
             evaluations += 1;
             if reflected.0 < simplex[0].0 {
                 let expanded = cost(center + (center - worst.1) * 2.0);
                 evaluations += 1;
-                simplex[3] = if expanded.0 < reflected.0 { expanded } else { reflected };
-            } else if reflected.0 < simplex[2].0 {
-                simplex[3] = reflected;
+                simplex[last] = if expanded.0 < reflected.0 { expanded } else { reflected };
+            } else if reflected.0 < simplex[last - 1].0 {
+                simplex[last] = reflected;
             } else {
                 let toward = if reflected.0 < worst.0 { reflected.1 } else { worst.1 };
                 let contracted = cost(center + (toward - center) * 0.5);
                 evaluations += 1;
                 if contracted.0 < worst.0.min(reflected.0) {
-                    simplex[3] = contracted;
+                    simplex[last] = contracted;
                 } else {
                     let best = simplex[0].1;
                     simplex[1..].par_iter_mut().for_each(|v| *v = cost(best + (v.1 - best) * 0.5));
-                    evaluations += 3;
+                    evaluations += last;
                 }
             }
         }
