@@ -5,7 +5,8 @@
 //! keyframes saw beyond the scan, each as strongly as the irradiance of held-out surface allows: lit colours have errors of their own, in which
 //! a tint of all that is seen would drown. Albedos stay.
 
-use crate::factorisation::alternation::{Alternation, LightForm, Prior, mean_radiance};
+use crate::factorisation::joint_solution::{JointSolution, mean_radiance};
+use crate::factorisation::light_form::{LightForm, Prior};
 use crate::factorisation::problem::Observed;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::robust_solver::Channel;
@@ -56,7 +57,7 @@ pub fn narrowed(white: &Observed, solution: &Solution, bands: usize, tuning: &Fa
     let projection = Projection::of(white.transfer, narrowed.bands());
     // Where the light is dark in a channel, the other bands are left out as they are.
     if let Some(fits) = channels(white, solution, &projection, tuning) {
-        let states: Vec<Alternation> = fits.par_iter().map(|f| f.towards(&f.found(), tuning)).collect();
+        let states: Vec<JointSolution> = fits.par_iter().map(|f| f.towards(&f.found(), tuning)).collect();
         set_light(&mut narrowed, &fits, &states, &projection);
     }
     narrowed
@@ -75,7 +76,7 @@ fn channels<'a>(
 }
 
 /// Takes over the light of the channels.
-fn set_light(solution: &mut Solution, fits: &[Fit], states: &[Alternation], projection: &Projection) {
+fn set_light(solution: &mut Solution, fits: &[Fit], states: &[JointSolution], projection: &Projection) {
     let lights: Vec<DVector<f64>> = states.iter().map(|s| s.light(projection)).collect();
     solution.light = zip3(projection.coefficients(), &|c, i| fits[c].level * lights[c][i]);
     solution.radiance = zip3(projection.directions(), &|c, i| fits[c].level * states[c].radiance[i]);
@@ -124,11 +125,11 @@ fn strongest(
     tuning: &FactorisationTuning,
     most: f64,
     prior: impl Fn(usize, f64) -> Prior + Sync,
-) -> Option<(Chosen, Vec<Alternation>)> {
+) -> Option<(Chosen, Vec<JointSolution>)> {
     let trial = |weight: f64| {
         let drawn = |(c, fit): (usize, &Fit)| fit.towards(&prior(c, weight), tuning);
-        let states: Vec<Alternation> = fits.par_iter().enumerate().map(drawn).collect();
-        let error = |(f, s): (&Fit, &Alternation)| s.relative_square_error(&f.held_out, projection);
+        let states: Vec<JointSolution> = fits.par_iter().enumerate().map(drawn).collect();
+        let error = |(f, s): (&Fit, &JointSolution)| s.relative_square_error(&f.held_out, projection);
         (weight, fits.iter().zip(&states).map(error).sum::<f64>() / 3.0, states)
     };
     let mut tried: Vec<_> = WEIGHTS.into_par_iter().map(&trial).collect();
@@ -156,7 +157,7 @@ fn interpolated(low: f64, high: f64, share: f64) -> f64 {
 /// One channel.
 struct Fit<'a> {
     /// Mean radiance 1.
-    state: Alternation,
+    state: JointSolution,
     /// Of the samples that are fitted.
     form: LightForm<'a>,
     /// `[segment]`.
@@ -183,14 +184,14 @@ impl<'a> Fit<'a> {
 
     /// The prior that holds what was found.
     fn found(&self) -> Prior {
-        Prior::found(self.state.radiance.clone(), self.regularisation)
+        Prior::found(&self.state.radiance, self.regularisation)
     }
 
     /// The same level with another prior.
-    fn towards(&self, prior: &Prior, tuning: &FactorisationTuning) -> Alternation {
-        let mut state = self.state.clone();
-        state.light_alone(&self.form, prior, tuning);
-        state
+    fn towards(&self, prior: &Prior, tuning: &FactorisationTuning) -> JointSolution {
+        let held = prior.held(&self.form, tuning);
+        let radiance = self.form.clone().solved(prior, &held, &self.state.radiance);
+        JointSolution { radiance, albedo: self.state.albedo.clone() }
     }
 }
 

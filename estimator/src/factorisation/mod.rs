@@ -4,12 +4,13 @@
 //! and is fixed by a stated rule. `robust_solver` is the default; `paper_solver` is the paper's literal update.
 
 pub mod albedo;
-mod alternation;
 pub mod distance_check;
 pub mod drawn_light;
-mod extrapolation;
 mod factorise;
 pub mod held_out;
+mod joint_solution;
+mod light_form;
+mod non_negative;
 pub mod paint;
 pub mod paper_solver;
 mod posterior;
@@ -21,6 +22,8 @@ mod scale_prior;
 mod seen_background;
 mod solution;
 mod statistics;
+
+pub(crate) use non_negative::{Center, NonNegative, held};
 
 pub use factorise::{Factorised, Start, White, factorise, start_from};
 pub use problem::{Colors, FactorisationOptions, KnownAlbedo, Observed};

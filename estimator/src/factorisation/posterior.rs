@@ -1,6 +1,6 @@
 //! How well each coefficient of the light is determined.
 
-use crate::factorisation::alternation::Alternation;
+use crate::factorisation::joint_solution::JointSolution;
 use crate::factorisation::projection::Projection;
 use crate::factorisation::statistics::Folds;
 use firmware_config::tuning::FactorisationTuning;
@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector};
 pub(super) fn posterior(
     folds: &Folds,
     projection: &Projection,
-    state: &Alternation,
+    state: &JointSolution,
     regularisation: f64,
     tuning: &FactorisationTuning,
 ) -> (f64, Vec<f64>) {

@@ -1,59 +1,65 @@
 //! From radiance over directions to coefficients.
 
 use crate::factorisation::solution::{DIRECTIONS, directions};
-use crate::numerics::sh;
+use crate::numerics::{dense, sh};
 use crate::transfer::Transfer;
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Projection of radiance over the directions to coefficients, light = P · radiance: SH values times the solid angle of a
-/// direction, `[k][direction]`.
+/// direction, `[k][direction]`, and a sun, if there is one, whose radiance is the last coefficient.
 #[derive(Debug, Clone)]
-pub struct Projection(DMatrix<f64>);
+pub struct Projection {
+    harmonics: DMatrix<f64>,
+    has_sun: bool,
+}
 
 impl Projection {
-    /// For `k` coefficients, at least one.
+    /// For `k` harmonics, at least one.
     #[must_use]
     pub fn new(k: usize) -> Self {
         let mut y = vec![0.0; k];
-        let mut projection = DMatrix::zeros(k, DIRECTIONS);
+        let mut harmonics = DMatrix::zeros(k, DIRECTIONS);
         for (d, direction) in directions().into_iter().enumerate() {
             sh::eval(direction, &mut y);
-            projection
+            harmonics
                 .column_mut(d)
                 .iter_mut()
                 .zip(&y)
                 .for_each(|(p, y)| *p = y * 4.0 * std::f64::consts::PI / DIRECTIONS as f64);
         }
-        Self(projection)
+        Self { harmonics, has_sun: false }
     }
 
-    /// For the harmonics of `bands` and, if the transfer has a sun, for one direction more, whose radiance is a coefficient of its own.
+    /// For the harmonics of `bands` and the sun of the transfer, if it has one.
     #[must_use]
     pub fn of(transfer: &Transfer, bands: usize) -> Self {
-        let Self(mut projection) = Self::new(bands * bands);
-        if transfer.traced.sun.is_some() {
-            let (k, directions) = projection.shape();
-            projection = projection.resize(k + 1, directions + 1, 0.0);
-            projection[(k, directions)] = 1.0;
-        }
-        Self(projection)
+        Self { has_sun: transfer.traced.sun.is_some(), ..Self::new(bands * bands) }
     }
 
-    /// Number of directions.
+    /// Number of directions, the sun's among them.
     #[must_use]
     pub fn directions(&self) -> usize {
-        self.0.ncols()
+        self.harmonics.ncols() + usize::from(self.has_sun)
     }
 
     /// Number of coefficients.
     #[must_use]
     pub fn coefficients(&self) -> usize {
-        self.0.nrows()
+        self.harmonics.nrows() + usize::from(self.has_sun)
     }
 
-    /// P.
+    /// P without the sun.
     #[must_use]
     pub fn matrix(&self) -> &DMatrix<f64> {
-        &self.0
+        &self.harmonics
+    }
+
+    /// Coefficients of a radiance, `[direction]`: `[k]`.
+    #[must_use]
+    pub fn light(&self, radiance: &DVector<f64>) -> DVector<f64> {
+        let (harmonics, sun) = radiance.as_slice().split_at(self.harmonics.ncols());
+        let mut light = dense::times(&self.harmonics, &DVector::from_column_slice(harmonics));
+        light.extend(sun.iter().copied());
+        light
     }
 }

@@ -1,7 +1,8 @@
-//! Default solver (Eqs. 9–12): non-negative radiance over a few hundred directions and one albedo per segment, found in turn
+//! Default solver (Eqs. 9–12): non-negative radiance over a few hundred directions and one albedo per segment, found together
 //! with robust relative weights.
 
-use crate::factorisation::alternation::{Alternation, EXACT, FIRST_REGULARISATION, Prior, ROUGH};
+use crate::factorisation::joint_solution::{EXACT, FIRST_REGULARISATION, JointSolution, ROUGH};
+use crate::factorisation::light_form::Prior;
 use crate::factorisation::posterior::posterior;
 use crate::factorisation::problem::{Observed, counted};
 use crate::factorisation::projection::Projection;
@@ -43,7 +44,7 @@ pub fn solve(observed: &Observed, bands: usize, start: Option<&Solution>, tuning
 }
 
 struct ChannelSolution {
-    state: Alternation,
+    state: JointSolution,
     light: DVector<f64>,
     standard_deviation: Vec<f64>,
     held_out: f64,
@@ -86,13 +87,13 @@ impl<'a> Channel<'a> {
         let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
         let mut folds = self.folds(&self.weights(&colors, &state.albedo), projection);
         for _ in 1..REWEIGHTINGS {
-            state.run(&folds.fitted, projection, &Prior::uniform(projection, regularisation), ROUGH, tuning);
+            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
             folds = self.folds(&self.robust_weights(&self.predict(&state, projection), &state.albedo), projection);
         }
         if start.is_none() {
             regularisation = state.choose(&folds, projection, tuning);
         }
-        state.run(&folds.fitted, projection, &Prior::uniform(projection, regularisation), EXACT, tuning);
+        state.run(&folds.fitted, projection, &Prior::uniform(regularisation), EXACT, tuning);
         let held_out = state.relative_square_error(&folds.held_out, projection);
         let (condition, standard_deviation) = posterior(&folds, projection, &state, regularisation, tuning);
         let light = state.light(projection);
@@ -100,16 +101,16 @@ impl<'a> Channel<'a> {
     }
 
     /// Uniform light, and albedos in proportion to the lit colours.
-    fn uniform(&self) -> Alternation {
-        Alternation {
+    fn uniform(&self) -> JointSolution {
+        JointSolution {
             radiance: DVector::from_element(DIRECTIONS, 1.0),
             albedo: self.medians.iter().map(|m| m.max(1e-6 * self.median) / self.median * 0.5).collect(),
         }
     }
 
     /// Light and albedos of a solution.
-    pub fn state_of(&self, solution: &Solution) -> Alternation {
-        Alternation {
+    pub fn state_of(&self, solution: &Solution) -> JointSolution {
+        JointSolution {
             radiance: DVector::from_iterator(
                 solution.radiance.len(),
                 solution.radiance.iter().map(|r| r[self.channel]),
@@ -139,7 +140,7 @@ impl<'a> Channel<'a> {
     }
 
     /// a_u E_i of the samples: `[sample]`.
-    pub fn predict(&self, state: &Alternation, projection: &Projection) -> Vec<f64> {
+    pub fn predict(&self, state: &JointSolution, projection: &Projection) -> Vec<f64> {
         let light = state.light(projection);
         let mut row = vec![0.0; light.len()];
         let predict = |s: &Sample| {

@@ -1,4 +1,4 @@
-//! The factor per channel that albedo × light leaves free (Eq. 9). While light and albedo are solved for in turn, the brightest
+//! The factor per channel that albedo × light leaves free (Eq. 9). While light and albedo are solved for, the brightest
 //! segment fixes it; that of the answer is fixed by a surface of known albedo, or by what is likely (S1).
 
 use crate::factorisation::albedo::{self, Detail};

@@ -57,7 +57,7 @@ pub(super) struct Statistics {
 }
 
 impl Statistics {
-    fn zero(k: usize) -> Self {
+    pub fn zero(k: usize) -> Self {
         Self { gram: DMatrix::zeros(k, k), cross: DVector::zeros(k), square: 0.0, weight: 0.0 }
     }
 

@@ -10,7 +10,6 @@ mod emitters;
 mod growth;
 pub mod held_out;
 pub mod lamps;
-mod non_negative;
 mod samples;
 mod search;
 mod secondary;

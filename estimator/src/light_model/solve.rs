@@ -9,8 +9,7 @@
 //! square of that spread, and light is drawn away from there. The rounds after the first ones are therefore steps of Gauss–Newton
 //! on `f b − E (1 + δ_s)`, which takes the light for exact, with the δ_s eliminated in the place of the b.
 
-use crate::factorisation::Projection;
-use crate::light_model::non_negative::NonNegative;
+use crate::factorisation::{Center, NonNegative, Projection, held};
 use crate::light_model::samples::{DARK_FLOOR, Samples};
 use crate::numerics::dense::add_scaled;
 use crate::numerics::robust::robust_sigma;
@@ -38,6 +37,8 @@ const PRIOR_ALBEDO: (f64, f64) = (0.7, 0.25);
 const LARGE: f64 = 0.1;
 /// Albedo of that share at most.
 const MAX_ALBEDO: f64 = 0.95;
+/// Directions that the surfaces tell less of than this share of the best observed one are held at the mean by more.
+const MIN_OBSERVABILITY: f64 = 5e-3;
 /// Light of one lamp or emitter where it is strongest, against the mean light: deviation of its prior. One that hardly any sample
 /// tells would be taken for any radiance.
 const BRIGHTEST: f64 = 100.0;
@@ -191,6 +192,7 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             cross: &mean * (NORMALISED * total) + explained,
             gram: reduced.clone(),
             projection,
+            center: Center::Mean,
             last_at_most: MAX_ALBEDO / brightest,
         };
         problem.gram.ger(NORMALISED * total, &mean, &mean, 1.0);
@@ -204,7 +206,9 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
             let per = most / BRIGHTEST;
             problem.gram[(coefficients + j, coefficients + j)] += noise * per * per;
         }
-        solution = problem.solve(regularisation * total, &mut radiance, &solution);
+        let strength = regularisation * total / projection.ncols() as f64;
+        let held = held(&problem.gram, projection, MIN_OBSERVABILITY, |_| strength);
+        solution = problem.solve(&held, &mut radiance, &solution);
         let scale = Some(mean.dot(&solution)).filter(|s| *s > 0.0).unwrap_or(1.0);
         for (b, eliminated) in inverse.iter_mut().zip(statistics.eliminated(&solution)) {
             match eliminated {

@@ -45,8 +45,8 @@ section! {
         huber: f64 = 1.5, [0.1..=100.0], "σ", "";
         /// A weaker regularisation must lower the held-out error by this share to be chosen. Source: measured on the rendered scenes.
         regularisation_min_gain: f64 = 0.01, [0.0..=1.0], "", "";
-        /// Most turns of light and albedo in one solution. More of them fit what the surfaces hardly tell. Source: measured on the corpus.
-        max_turns: u32 = 80, [1..=1000], "turns", "";
+        /// Most steps of light and albedo in one solution; most take six. Source: measured on the recordings.
+        max_turns: u32 = 25, [1..=1000], "steps", "";
         /// Largest number of bands by which the regularisation is chosen. Source: measured on the rendered scenes.
         regularisation_bands: u32 = 7, [1..=9], "bands", "";
         /// Directions that the surfaces observe less than this share of the best observed one are regularised more. Source: measured on the rendered scenes.

@@ -10,8 +10,6 @@ use std::sync::Arc;
 const BANDS: u32 = 5;
 const RAYS: u32 = 32;
 const ROUNDS: u32 = 2;
-/// Turns of light and albedo: after twelve the irradiance of the bundled table is as good as after eighty, in half the time.
-const TURNS: u32 = 12;
 /// Vertices that are asked for, of those that there may be: ragged meshes get up to a quarter more.
 const ASKED: f64 = 0.75;
 /// The estimator takes no smaller limit.
@@ -41,7 +39,6 @@ fn coarse(config: &Config) -> Config {
     (e.bands, e.rays, e.association_rounds, e.max_vertices) = (BANDS, RAYS, ROUNDS, most);
     (e.transfer, e.quality) = (TransferChoice::Shade, Quality::Draft);
     (e.refine_poses, e.specular) = (Switch::Off, Switch::Off);
-    e.tuning.factorisation.max_turns = TURNS;
     // So little is seen that the regularisation with the least held-out error is the one to take, by however little.
     e.tuning.factorisation.regularisation_min_gain = 0.0;
     e.tuning.factorisation.near_light = false;

@@ -10,47 +10,69 @@ const STEPS: usize = 25;
 const SWEEPS: usize = 50;
 /// A slope this small, relative to its terms, is none.
 const FLAT: f64 = 1e-12;
-/// Directions that the surfaces tell less of than this share of the best observed one are held at the mean by more.
-const MIN_OBSERVABILITY: f64 = 5e-3;
 
-/// `min ½ zᵀ H z − gᵀ z + ½ Σ_d s_d (r_d − mean r)²` where the first entries of z are `projection · r` with r ≥ 0 and the others, the extras,
-/// are ≥ 0. The mean counts as given: no derivative is taken of it.
-pub(super) struct NonNegative<'a> {
+/// `min ½ zᵀ H z − gᵀ z + ½ Σ_d s_d (r_d − c_d)²` where the first entries of z are `projection · r` with r ≥ 0 and the others, the extras,
+/// are ≥ 0.
+pub(crate) struct NonNegative<'a> {
     /// H: `[dim][dim]`.
     pub gram: DMatrix<f64>,
     /// g: `[dim]`.
     pub cross: DVector<f64>,
     /// `[coefficient][direction]`.
     pub projection: &'a DMatrix<f64>,
-    /// Upper bound of the last entry.
+    /// c.
+    pub center: Center<'a>,
+    /// Upper bound of the last entry, if it is an extra.
     pub last_at_most: f64,
 }
 
+/// What radiance is drawn to.
+#[derive(Clone, Copy)]
+pub(crate) enum Center<'a> {
+    /// The mean of all directions. It counts as given: no derivative is taken of it.
+    Mean,
+    /// `[direction]`.
+    At(&'a DVector<f64>),
+}
+
+/// Observability, the diagonal of Pᵀ H P, and s of every direction: `strength`, and more where the observability is below the share
+/// `min_observability` of the largest, since what few vertices see would fit their errors. `gram` is H, of which the first entries are
+/// coefficients, `projection` P. None where the light has no coefficients.
+pub(crate) fn held(
+    gram: &DMatrix<f64>,
+    projection: &DMatrix<f64>,
+    min_observability: f64,
+    strength: impl Fn(usize) -> f64,
+) -> Vec<(f64, f64)> {
+    let k = projection.nrows();
+    if k == 0 {
+        return Vec::new();
+    }
+    let products = dense::product(&gram.view((0, 0), (k, k)).into_owned(), projection);
+    let columns = projection.as_slice().chunks_exact(k).zip(products.as_slice().chunks_exact(k));
+    let observed: Vec<f64> = columns.map(|(column, product)| dot(column, product).max(0.0)).collect();
+    let least = min_observability * observed.iter().copied().fold(0.0, f64::max);
+    let more = |o: f64| 1.0 + least / o.max(1e-4 * least);
+    observed.iter().enumerate().map(|(d, &o)| (o, strength(d) * more(o))).collect()
+}
+
 impl NonNegative<'_> {
-    /// z, and its radiance in `r`, which is where the search starts, with the extras of `start`. The s_d sum up to `strength`, or more
-    /// where directions are hardly observed.
-    pub fn solve(&self, strength: f64, r: &mut DVector<f64>, start: &DVector<f64>) -> DVector<f64> {
+    /// z, and its radiance in `r`, which is where the search starts, with the extras of `start`. The s_d are those of [`held`].
+    pub fn solve(&self, held: &[(f64, f64)], r: &mut DVector<f64>, start: &DVector<f64>) -> DVector<f64> {
         let k = self.projection.nrows();
-        let dim = self.gram.nrows();
-        let products = dense::product(&self.gram.columns(0, k).into_owned(), self.projection);
-        let products = products.as_slice();
-        let of = |d: usize| dot(self.direction(d), &products[d * dim..][..k]).max(0.0);
-        // None where the light has no coefficients.
-        let observed: Vec<f64> = if k > 0 { (0..self.projection.ncols()).map(of).collect() } else { Vec::new() };
-        let least = MIN_OBSERVABILITY * observed.iter().copied().fold(0.0, f64::max);
-        let strength = strength / observed.len().max(1) as f64;
-        let held = observed.iter().map(|&o| (o, strength * (1.0 + least / o.max(1e-4 * least))));
-        let held: Vec<(f64, f64)> = held.collect();
         let mut z = start.clone();
         z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
+        let mut products: Option<DMatrix<f64>> = None;
         for _ in 0..ATTEMPTS {
-            if let Some((light, radiance)) = self.newton(&held, r, &z) {
+            if let Some((light, radiance)) = self.newton(held, r, &z) {
                 *r = radiance;
                 return light;
             }
+            let products =
+                products.get_or_insert_with(|| dense::product(&self.gram.columns(0, k).into_owned(), self.projection));
             let mut gradient = dense::times(&self.gram, &z) - &self.cross;
             let (gradient, entries) = (gradient.as_mut_slice(), z.as_mut_slice());
-            let descent = Descent { form: self, products, held: &held, gradient, r, z: entries };
+            let descent = Descent { form: self, products: products.as_slice(), held, gradient, r, z: entries };
             let has_converged = dispatch(Isa::detect(), descent);
             z.rows_mut(0, k).copy_from(&dense::times(self.projection, r));
             if has_converged {
@@ -60,9 +82,9 @@ impl NonNegative<'_> {
         z
     }
 
-    /// Newton's method on what holds at the minimum, r_d = max(0, m − p_dᵀ y / s_d) with the gradient y and the mean m: linear in z and m
-    /// once it is known which entries are free (a primal-dual active set method). z and r; `None` if the free ones have not settled. `held`
-    /// is that of [`Descent`].
+    /// Newton's method on what holds at the minimum, r_d = max(0, m c_d − p_dᵀ y / s_d) with the gradient y, and with m = 1 or, where the mean
+    /// is the center, m the mean and c = 1: linear in z and m once it is known which entries are free (a primal-dual active set method). z
+    /// and r; `None` if the free ones have not settled.
     fn newton(
         &self,
         held: &[(f64, f64)],
@@ -80,7 +102,7 @@ impl NonNegative<'_> {
             let (z, mean) = self.with_free(&free, held)?;
             let gradient = dense::times(&self.gram, &z) - &self.cross;
             let slope = |d: usize| dot(self.direction(d), &gradient.as_slice()[..k]);
-            let radiance = DVector::from_fn(held.len(), |d, _| mean - slope(d) / held[d].1);
+            let radiance = DVector::from_fn(held.len(), |d, _| mean * self.center(d) - slope(d) / held[d].1);
             if !radiance.iter().chain(z.iter()).all(|x| x.is_finite()) {
                 return None;
             }
@@ -97,16 +119,16 @@ impl NonNegative<'_> {
         None
     }
 
-    /// z and the mean m where only these entries are free.
+    /// z and m where only these entries are free.
     fn with_free(&self, free: &Free, held: &[(f64, f64)]) -> Option<(DVector<f64>, f64)> {
         let (k, dim) = (self.projection.nrows(), self.gram.nrows());
         let numbers = (0..held.len()).filter(|d| free.radiances[*d]);
         let count = numbers.clone().count();
-        let columns = numbers.map(|d| (self.direction(d), held[d].1));
+        let columns = numbers.map(|d| (self.direction(d), self.center(d), held[d].1));
         let Sums { squares, plain, divided } = dispatch(Isa::detect(), Summed { k, columns });
         let (form, known) = (self.gram.rows(0, k).into_owned(), self.cross.rows(0, k).into_owned());
         let (mut system, mut right) = (DMatrix::zeros(dim + 1, dim + 1), DVector::zeros(dim + 1));
-        // The coefficients are those of the free radiances, Σ p (m − pᵀ y / s), …
+        // The coefficients are those of the free radiances, Σ p (m c − pᵀ y / s), …
         system.view_mut((0, 0), (k, dim)).copy_from(&dense::product(&squares, &form));
         for i in 0..k {
             system[(i, i)] += 1.0;
@@ -123,10 +145,15 @@ impl NonNegative<'_> {
                 }
             }
         }
-        // … and m is the mean over all directions.
-        system.view_mut((dim, 0), (1, dim)).copy_from(&(divided.transpose() * &form));
-        system[(dim, dim)] = held.len() as f64 - count as f64;
-        right[dim] = divided.dot(&known);
+        match self.center {
+            // … and m is the mean over all directions.
+            Center::Mean => {
+                system.view_mut((dim, 0), (1, dim)).copy_from(&(divided.transpose() * &form));
+                system[(dim, dim)] = held.len() as f64 - count as f64;
+                right[dim] = divided.dot(&known);
+            }
+            Center::At(_) => (system[(dim, dim)], right[dim]) = (1.0, 1.0),
+        }
         let found = system.lu().solve(&right)?;
         let mut z = found.rows(0, dim).into_owned();
         // Rounding leaves none of them below zero.
@@ -152,6 +179,14 @@ impl NonNegative<'_> {
         if j + 1 == self.gram.nrows() { self.last_at_most } else { f64::INFINITY }
     }
 
+    /// c of a direction; 1 where the mean takes its place.
+    fn center(&self, d: usize) -> f64 {
+        match self.center {
+            Center::Mean => 1.0,
+            Center::At(center) => center[d],
+        }
+    }
+
     /// p of a direction: `[coefficient]`.
     fn direction(&self, d: usize) -> &[f64] {
         let k = self.projection.nrows();
@@ -172,27 +207,27 @@ struct Free {
 struct Sums {
     /// Σ p pᵀ / s: `[k][k]`.
     squares: DMatrix<f64>,
-    /// Σ p: `[k]`.
+    /// Σ p c: `[k]`.
     plain: DVector<f64>,
     /// Σ p / s: `[k]`.
     divided: DVector<f64>,
 }
 
-/// Adds up columns of the projection, `[k]`, each with its s.
+/// Adds up columns of the projection, `[k]`, each with its c and s.
 struct Summed<C> {
     k: usize,
     columns: C,
 }
 
-impl<'c, C: Iterator<Item = (&'c [f64], f64)>> Hot for Summed<C> {
+impl<'c, C: Iterator<Item = (&'c [f64], f64, f64)>> Hot for Summed<C> {
     type Output = Sums;
 
     #[inline(always)]
     fn run(self) -> Sums {
         let Self { k, columns } = self;
         let (mut squares, mut plain, mut divided) = (DMatrix::zeros(k, k), DVector::zeros(k), DVector::zeros(k));
-        for (column, strength) in columns {
-            add_scaled(plain.as_mut_slice(), 1.0, column);
+        for (column, center, strength) in columns {
+            add_scaled(plain.as_mut_slice(), center, column);
             add_scaled(divided.as_mut_slice(), 1.0 / strength, column);
             for (j, (sums, p)) in squares.as_mut_slice().chunks_exact_mut(k).zip(column).enumerate() {
                 add_scaled(&mut sums[..=j], p / strength, &column[..=j]);
@@ -225,14 +260,17 @@ impl Hot for Descent<'_> {
         let (k, dim, gram) = (form.projection.nrows(), gradient.len(), form.gram.as_slice());
         for _ in 0..SWEEPS {
             let (mut moved, mut size) = (0.0, 0.0);
-            let mean = r.mean();
+            let mean = match form.center {
+                Center::Mean => r.mean(),
+                Center::At(_) => 1.0,
+            };
             let r = r.as_mut_slice();
             for (d, &(observed, strength)) in held.iter().enumerate() {
                 let diagonal = observed + strength;
                 if diagonal <= 0.0 {
                     continue;
                 }
-                let slope = dot(form.direction(d), &gradient[..k]) + strength * (r[d] - mean);
+                let slope = dot(form.direction(d), &gradient[..k]) + strength * (r[d] - mean * form.center(d));
                 let step = (r[d] - slope / diagonal).max(0.0) - r[d];
                 if step != 0.0 {
                     r[d] += step;
@@ -270,6 +308,7 @@ mod tests {
 
     const DIRECTIONS: usize = 24;
     const STRENGTH: f64 = 0.05;
+    const MIN_OBSERVABILITY: f64 = 5e-3;
 
     /// A form of `k` coefficients and two others from `rows` equations, which ask for sources below zero and above the bound as well.
     fn form(seed: u32, k: usize, rows: usize, projection: &DMatrix<f64>) -> NonNegative<'_> {
@@ -280,25 +319,29 @@ mod tests {
             gram: equations.transpose() * &equations / rows as f64,
             cross: equations.transpose() * wanted / rows as f64,
             projection,
+            center: Center::Mean,
             last_at_most: 0.3,
         }
     }
 
     proptest! {
         #[test]
-        fn no_entry_can_be_moved_to_lower_the_form(seed: u32, k in 1usize..9, rows in 12usize..40) {
+        fn no_entry_can_be_moved_to_lower_the_form(seed: u32, k in 1usize..9, rows in 12usize..40, at_mean: bool) {
             let value = |i: usize, d: usize| libm::cos((i * 5 + d * (i + 2)) as f64);
             let projection = DMatrix::from_fn(k, DIRECTIONS, value);
-            let form = form(seed, k, rows, &projection);
+            let given = DVector::from_fn(DIRECTIONS, |d, _| 1.0 + value(k, d));
+            let center = if at_mean { Center::Mean } else { Center::At(&given) };
+            let form = NonNegative { center, ..form(seed, k, rows, &projection) };
             let mut r = DVector::from_element(DIRECTIONS, 1.0);
-            let z = form.solve(STRENGTH, &mut r, &DVector::zeros(k + 2));
+            let held = held(&form.gram, &projection, MIN_OBSERVABILITY, |_| STRENGTH / DIRECTIONS as f64);
+            let z = form.solve(&held, &mut r, &DVector::zeros(k + 2));
             let gradient = &form.gram * &z - &form.cross;
-            let strength = STRENGTH / DIRECTIONS as f64;
+            let products = (projection.transpose() * form.gram.view((0, 0), (k, k)) * &projection).diagonal();
             for d in 0..DIRECTIONS {
-                let products = (projection.transpose() * form.gram.view((0, 0), (k, k)) * &projection).diagonal();
                 let least = MIN_OBSERVABILITY * products.max();
-                let held = strength * (1.0 + least / products[d].max(1e-4 * least));
-                let slope = projection.column(d).dot(&gradient.rows(0, k)) + held * (r[d] - r.mean());
+                let held = STRENGTH / DIRECTIONS as f64 * (1.0 + least / products[d].max(1e-4 * least));
+                let center = if at_mean { r.mean() } else { given[d] };
+                let slope = projection.column(d).dot(&gradient.rows(0, k)) + held * (r[d] - center);
                 prop_assert!(slope > -1e-5 && (r[d] <= 0.0 || slope < 1e-5), "direction {d}: {} with {slope}", r[d]);
             }
             for (j, most) in [(k, f64::INFINITY), (k + 1, form.last_at_most)] {
