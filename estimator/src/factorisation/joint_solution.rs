@@ -17,7 +17,7 @@ use isa::{Hot, Isa, dispatch};
 use nalgebra::DVector;
 use rayon::prelude::*;
 
-/// Changes of log albedos and radiance that end the turns: of a solution, and of one that is only compared or weighted by.
+/// Changes of log albedos and radiance that end the steps: of a solution, and of one that is only compared or weighted by.
 pub(super) const EXACT: f64 = 1e-4;
 pub(super) const ROUGH: f64 = 1e-3;
 /// What a relative change of the radiance counts beside those of the albedos. Without it, trials of the regularisation on a plain thing end
