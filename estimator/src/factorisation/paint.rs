@@ -28,12 +28,18 @@ pub fn of_patch(i: usize, logs: &[Logs], variance: f64, colors: &Colors) -> f64 
         return 0.0;
     }
     let patch = colors.graph.around(i, REACH, MOST, |j| colors.segment[j] == colors.segment[i]);
-    let tell: Vec<[f64; 3]> = patch.iter().copied().filter(counts).filter_map(|j| logs[j]).collect();
+    let tell: Vec<[f64; 3]> = patch.iter().map(|&j| j as usize).filter(counts).filter_map(|j| logs[j]).collect();
     if 2 * tell.len() < patch.len() {
         return 0.0;
     }
+    // Where most of a patch is within what an error explains, so is its median: nothing to sort.
+    let explained = EXPLAINED * variance;
+    let within = |c: usize| tell.iter().filter(|log| log[c] * log[c] <= explained).count();
+    if (0..3).all(|c| within(c) > tell.len() / 2 + 1) {
+        return 0.0;
+    }
     let off = [0, 1, 2].map(|c| median(tell.iter().map(|log| log[c])).unwrap_or(0.0));
-    WIDE * (mean_square(&off) - EXPLAINED * variance).max(0.0)
+    WIDE * (mean_square(&off) - explained).max(0.0)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use crate::factorisation::problem::{Observed, counted};
 use crate::factorisation::projection::Projection;
 use crate::factorisation::scale::brightest_large;
 use crate::factorisation::solution::{DIRECTIONS, Solution, zip3};
-use crate::factorisation::statistics::{Folds, Sample, samples};
+use crate::factorisation::statistics::{Folds, Sample, Statistics, samples, statistics};
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::FactorisationTuning;
 use nalgebra::DVector;
@@ -85,11 +85,13 @@ impl<'a> Channel<'a> {
         state.radiance = state.radiance.resize_vertically(projection.directions(), 0.0);
         let mut regularisation = start.map_or(FIRST_REGULARISATION, |s| self.regularisation(s));
         let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
-        let mut folds = self.folds(&self.weights(&colors, &state.albedo), projection);
+        let mut weights = self.weights(&colors, &state.albedo);
         for _ in 1..REWEIGHTINGS {
-            state.run(&folds.fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
-            folds = self.folds(&self.robust_weights(&self.predict(&state, projection), &state.albedo), projection);
+            let fitted = self.fitted(&weights, projection);
+            state.run(&fitted, projection, &Prior::uniform(regularisation), ROUGH, tuning);
+            weights = self.robust_weights(&self.predict(&state, projection), &state.albedo);
         }
+        let folds = self.folds(&weights, projection);
         if start.is_none() {
             regularisation = state.choose(&folds, projection, tuning);
         }
@@ -122,6 +124,11 @@ impl<'a> Channel<'a> {
     /// The regularisation weight of a solution.
     pub fn regularisation(&self, solution: &Solution) -> f64 {
         solution.regularisation[self.channel]
+    }
+
+    /// Statistics of the samples that are fitted, `[segment]`, with these weights: `[sample]`.
+    fn fitted(&self, weights: &[f64], projection: &Projection) -> Vec<Statistics> {
+        statistics(self.observed, self.samples, weights, projection.coefficients(), self.channel, false)
     }
 
     /// Statistics with these weights: `[sample]`.

@@ -86,44 +86,53 @@ pub(super) struct Folds {
 impl Folds {
     /// Sums over all samples for one channel; `weights` is `[sample]`, `k` the number of coefficients.
     pub fn accumulate(observed: &Observed, samples: &[Sample], weights: &[f64], k: usize, channel: usize) -> Self {
-        let mut pieces: Vec<(u32, Range<usize>)> = Vec::new();
-        let mut start = 0;
-        while start < samples.len() {
-            let segment = samples[start].segment;
-            let length = samples[start..].iter().take(PIECE).take_while(|s| s.segment == segment).count();
-            pieces.push((segment, start..start + length));
-            start += length;
-        }
-        let sum = |range: &Range<usize>, held_out: bool| {
-            let chosen: Vec<usize> =
-                range.clone().filter(|&j| samples[j].held_out == held_out && weights[j] > 0.0).collect();
-            let mut rows = DMatrix::zeros(k, chosen.len());
-            let mut weighted = DMatrix::zeros(k, chosen.len());
-            let mut sum = Statistics::zero(k);
-            for (n, &j) in chosen.iter().enumerate() {
-                let (vertex, w) = (samples[j].vertex as usize, weights[j]);
-                let f = f64::from(observed.lit_color[vertex][channel]);
-                observed.transfer.row(vertex, channel, rows.column_mut(n).as_mut_slice());
-                weighted.column_mut(n).axpy(w, &rows.column(n), 0.0);
-                sum.cross.axpy(w * f, &rows.column(n), 1.0);
-                sum.square += w * f * f;
-                sum.weight += w;
-            }
-            sum.gram = dense::upper_product(&weighted, &rows.transpose());
-            sum
-        };
-        let partial: Vec<[Statistics; 2]> =
-            pieces.par_iter().map(|(_, range)| [false, true].map(|held_out| sum(range, held_out))).collect();
-        let mut folds = [vec![Statistics::zero(k); observed.segments], vec![Statistics::zero(k); observed.segments]];
-        for ((segment, _), sums) in pieces.iter().zip(&partial) {
-            for (total, sum) in folds.iter_mut().zip(sums) {
-                total[*segment as usize].add(sum);
-            }
-        }
-        for statistics in folds.iter_mut().flatten() {
-            statistics.gram.fill_lower_triangle_with_upper_triangle();
-        }
-        let [fitted, held_out] = folds;
+        let of = |held_out| statistics(observed, samples, weights, k, channel, held_out);
+        let (fitted, held_out) = rayon::join(|| of(false), || of(true));
         Self { fitted, held_out }
     }
+}
+
+/// Statistics of every segment, `[segment]`, over the samples that are `held_out` or those that are not, for one channel; `weights` is
+/// `[sample]`, `k` the number of coefficients.
+pub(super) fn statistics(
+    observed: &Observed,
+    samples: &[Sample],
+    weights: &[f64],
+    k: usize,
+    channel: usize,
+    held_out: bool,
+) -> Vec<Statistics> {
+    let mut pieces: Vec<(u32, Range<usize>)> = Vec::new();
+    let mut start = 0;
+    while start < samples.len() {
+        let segment = samples[start].segment;
+        let length = samples[start..].iter().take(PIECE).take_while(|s| s.segment == segment).count();
+        pieces.push((segment, start..start + length));
+        start += length;
+    }
+    let sum = |range: &Range<usize>| {
+        let chosen: Vec<usize> =
+            range.clone().filter(|&j| samples[j].held_out == held_out && weights[j] > 0.0).collect();
+        let mut rows = DMatrix::zeros(k, chosen.len());
+        let mut weighted = DMatrix::zeros(k, chosen.len());
+        let mut sum = Statistics::zero(k);
+        for (n, &j) in chosen.iter().enumerate() {
+            let (vertex, w) = (samples[j].vertex as usize, weights[j]);
+            let f = f64::from(observed.lit_color[vertex][channel]);
+            observed.transfer.row(vertex, channel, rows.column_mut(n).as_mut_slice());
+            weighted.column_mut(n).axpy(w, &rows.column(n), 0.0);
+            sum.cross.axpy(w * f, &rows.column(n), 1.0);
+            sum.square += w * f * f;
+            sum.weight += w;
+        }
+        sum.gram = dense::upper_product(&weighted, &rows.transpose());
+        sum
+    };
+    let partial: Vec<Statistics> = pieces.par_iter().map(|(_, range)| sum(range)).collect();
+    let mut total = vec![Statistics::zero(k); observed.segments];
+    for ((segment, _), sum) in pieces.iter().zip(&partial) {
+        total[*segment as usize].add(sum);
+    }
+    total.iter_mut().for_each(|statistics| statistics.gram.fill_lower_triangle_with_upper_triangle());
+    total
 }

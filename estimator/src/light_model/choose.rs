@@ -22,6 +22,7 @@ use rayon::prelude::*;
 use recordings::decision::{Decision, LightRung};
 use recordings::local_light::{Emitter, Lamp, LightModel, LocalLight};
 use recordings::types::Mesh;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Bands of the light beyond the scene in near models.
 const BANDS: usize = 5;
@@ -247,6 +248,9 @@ impl Columns {
     }
 }
 
+/// Form factors of lamps at the samples.
+type LampColumns = Arc<Mutex<Vec<(Sphere, Arc<Vec<f32>>)>>>;
+
 /// A choice that is being made.
 pub(super) struct Choice<'a> {
     pub scene: &'a Scene<'a>,
@@ -258,6 +262,8 @@ pub(super) struct Choice<'a> {
     pub unseen: usize,
     /// Form factors of the pieces: `[piece][sample]`.
     piece_columns: Vec<Vec<f32>>,
+    /// Form factors of lamps that were in a model: `[sample]`. Models are tried by the dozen around the same lamps.
+    lamp_columns: LampColumns,
     /// What every surface radiates, as observed or from around: `[vertex]`.
     radiance: Vec<Vec3>,
 }
@@ -273,6 +279,7 @@ impl<'a> Choice<'a> {
             pieces: Vec::new(),
             unseen: 0,
             piece_columns: Vec::new(),
+            lamp_columns: LampColumns::default(),
             radiance: Vec::new(),
         }
     }
@@ -337,9 +344,7 @@ impl<'a> Choice<'a> {
 
     /// Columns of (N5) with these sources, in `bands` bands.
     pub fn columns(&self, bands: usize, emitters: &[usize], lamps: &[Sphere]) -> Columns {
-        let Scene { mesh, rays, .. } = *self.scene;
-        let lamp = |l: &Sphere| lamps::form_factors(mesh, rays, &self.samples.vertex, l);
-        let lamps: Vec<Vec<f32>> = lamps.iter().map(lamp).collect();
+        let lamps: Vec<Arc<Vec<f32>>> = lamps.iter().map(|lamp| self.lamp_column(lamp)).collect();
         let (all, coefficients) = (self.traced.bands * self.traced.bands, bands * bands);
         let columns = coefficients + emitters.len() + lamps.len();
         let radiance = self.radiance_without(emitters);
@@ -354,6 +359,20 @@ impl<'a> Choice<'a> {
         let least = |p: &usize| if *p < self.unseen { 0.0 } else { LEAST_OF_UNSEEN };
         let least_brought = emitters.iter().map(least).collect();
         Columns { coefficients, columns, shared, secondary, least_brought }
+    }
+
+    /// Form factors of a lamp: `[sample]`.
+    fn lamp_column(&self, lamp: &Sphere) -> Arc<Vec<f32>> {
+        let known =
+            |columns: &[(Sphere, Arc<Vec<f32>>)]| columns.iter().find(|(l, _)| l == lamp).map(|(_, c)| c.clone());
+        let columns = || self.lamp_columns.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(column) = known(&columns()) {
+            return column;
+        }
+        // Not under the lock: whoever waits for it may hold the rays that this one waits for.
+        let column = Arc::new(lamps::form_factors(self.scene.mesh, self.scene.rays, &self.samples.vertex, lamp));
+        columns().push((*lamp, column.clone()));
+        column
     }
 
     /// SH bands of near models.
@@ -373,7 +392,9 @@ impl<'a> Choice<'a> {
         let samples = self.samples.in_segments(&division.part, division.of.len());
         let (pieces, piece_columns, radiance) =
             (self.pieces.clone(), self.piece_columns.clone(), self.radiance.clone());
-        Self { samples, pieces, piece_columns, radiance, ..*self }
+        // Of the same vertices.
+        let lamp_columns = Arc::clone(&self.lamp_columns);
+        Self { samples, pieces, piece_columns, lamp_columns, radiance, ..*self }
     }
 
     /// Parts of the segments with which a model explains held-out surface better than `best` does: all that faces one way is a part,

@@ -173,15 +173,19 @@ impl<'a> Search<'a> {
         (0..dim).for_each(|j| gram[(j, j)] += ridge);
         let Some(factor) = gram.cholesky() else { return vec![0.0; places.len()] };
         let base = factor.solve(&(&level * held));
-        let vertices: Vec<u32> = few.iter().map(|n| samples.vertex[*n]).collect();
-        places
-            .par_iter()
-            .map(|place| {
+        // Vertex by vertex: rays from one point to neighbouring places pass through the same parts of the scene.
+        let at_vertex = |n: &usize| -> Vec<f32> {
+            let at = |place: &Vec3| {
                 let sphere = Sphere { center: *place, radius: 0.0 };
-                let column: Vec<f64> = vertices
-                    .iter()
-                    .map(|&i| f64::from(lamps::form_factor(self.mesh, self.scene, i as usize, &sphere)))
-                    .collect();
+                lamps::form_factor(self.mesh, self.scene, samples.vertex[*n] as usize, &sphere)
+            };
+            places.iter().map(at).collect()
+        };
+        let factors: Vec<Vec<f32>> = few.par_iter().map(at_vertex).collect();
+        (0..places.len())
+            .into_par_iter()
+            .map(|place| {
+                let column: Vec<f64> = factors.iter().map(|of_vertex| f64::from(of_vertex[place])).collect();
                 let mut lamp_cross = vec![0.0; samples.segments];
                 let (mut square, mut lamp_level) = (0.0, 0.0);
                 let mut cross = DVector::<f64>::zeros(dim);

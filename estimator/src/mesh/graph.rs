@@ -115,14 +115,15 @@ impl Graph {
 
     /// `start` and vertices at most `reach` edges from it through `passable` ones, breadth first, `most` of them at most.
     #[must_use]
-    pub fn around(&self, start: usize, reach: usize, most: usize, passable: impl Fn(usize) -> bool) -> Vec<usize> {
-        let (mut list, mut inner) = (vec![start], 0);
+    pub fn around(&self, start: usize, reach: usize, most: usize, passable: impl Fn(usize) -> bool) -> Vec<u32> {
+        let (mut list, mut inner) = (Vec::with_capacity(most), 0);
+        list.push(start as u32);
         for _ in 0..reach {
             let ring = inner..list.len();
             inner = ring.end;
             for n in ring {
-                for j in self.neighbours(list[n]).iter().map(|&j| j as usize) {
-                    if list.len() < most && passable(j) && !list.contains(&j) {
+                for &j in self.neighbours(list[n] as usize) {
+                    if list.len() < most && passable(j as usize) && !list.contains(&j) {
                         list.push(j);
                     }
                 }

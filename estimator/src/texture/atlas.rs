@@ -4,6 +4,7 @@ use crate::texture::charts::{ChartLimits, Cutter, Piece};
 use crate::texture::pack::pack;
 use firmware_config::tuning::TextureTuning;
 use glam::{DVec2, Vec2, Vec3};
+use rayon::prelude::*;
 use recordings::result::Chart;
 use recordings::types::Mesh;
 
@@ -49,8 +50,9 @@ impl Atlas {
             return None;
         }
         let mut texel = texel.max((surface / COVERED).sqrt() / tuning.max_side as f32);
+        let mut cutter = Cutter::new(mesh);
         for _ in 0..ATTEMPTS {
-            if let Some(atlas) = Self::with_texels(mesh, texel, tuning) {
+            if let Some(atlas) = Self::with_texels(mesh, &mut cutter, texel, tuning) {
                 return Some(atlas);
             }
             texel *= COARSER;
@@ -58,12 +60,13 @@ impl Atlas {
         None
     }
 
-    fn with_texels(mesh: &Mesh, texel: f32, tuning: &TextureTuning) -> Option<Self> {
+    fn with_texels(mesh: &Mesh, cutter: &mut Cutter, texel: f32, tuning: &TextureTuning) -> Option<Self> {
         let side = tuning.chart_side.min(tuning.max_side - 4 * GUTTER) as f32;
         let angle = tuning.chart_angle_deg.to_radians();
         let limits = ChartLimits { min_cosine: libm::cos(angle) as f32, side: side / std::f32::consts::SQRT_2 * texel };
         let most = u64::from(tuning.max_side).pow(2);
-        let (mut cutter, mut grids, mut used) = (Cutter::new(mesh), Vec::new(), 0);
+        cutter.restart();
+        let (mut grids, mut used) = (Vec::new(), 0);
         let mut chart = vec![EMPTY; mesh.triangles.len()];
         while let Some(piece) = cutter.next(&limits) {
             let (grid, folded) = Grid::new(mesh, &piece, texel);
@@ -77,6 +80,7 @@ impl Atlas {
         }
         let sizes: Vec<[u32; 2]> = grids.iter().map(|g| [g.width, g.height]).collect();
         let page = pack(&sizes, tuning.max_side)?;
+        grids.par_iter_mut().for_each(Grid::widen);
         let mut owner = vec![EMPTY; page.width as usize * page.height as usize];
         let mut charts = Vec::with_capacity(grids.len());
         for (grid, [left, top]) in grids.iter().zip(&page.corners) {
@@ -128,9 +132,6 @@ impl Grid {
             let at = middle.y as usize * width as usize + middle.x as usize;
             grid.owner[at] = seed;
         }
-        for _ in 0..GUTTER {
-            grid.widen();
-        }
         (grid, folded)
     }
 
@@ -162,8 +163,13 @@ impl Grid {
         true
     }
 
-    /// Continues the triangles at the border by one texel.
+    /// Continues the triangles at the border into the gutter.
     fn widen(&mut self) {
+        (0..GUTTER).for_each(|_| self.widen_once());
+    }
+
+    /// The same by one texel.
+    fn widen_once(&mut self) {
         let (w, h) = (self.width as usize, self.height as usize);
         let before = self.owner.clone();
         for y in 0..h {

@@ -3,7 +3,6 @@
 use crate::mesh::raster::triangle_normals;
 use glam::{Vec2, Vec3};
 use recordings::types::Mesh;
-use std::collections::VecDeque;
 
 /// Smallest cosine between a chart's axis and a triangle's own flat normal: beyond it a triangle of noise would be seen from the
 /// side.
@@ -38,6 +37,9 @@ pub struct Cutter<'a> {
     neighbours: Vec<[u32; 3]>,
     taken: Vec<bool>,
     next_seed: usize,
+    /// The last growth that met it: `[triangle]`.
+    met: Vec<u32>,
+    growths: u32,
 }
 
 impl<'a> Cutter<'a> {
@@ -55,7 +57,15 @@ impl<'a> Cutter<'a> {
             neighbours: neighbours(mesh),
             taken: vec![false; mesh.triangles.len()],
             next_seed: 0,
+            met: vec![0; mesh.triangles.len()],
+            growths: 0,
         }
+    }
+
+    /// Starts again from the whole mesh.
+    pub fn restart(&mut self) {
+        self.taken.fill(false);
+        self.next_seed = 0;
     }
 
     /// The next piece; `None` when every triangle is taken.
@@ -94,7 +104,8 @@ impl<'a> Cutter<'a> {
     }
 
     /// Triangles connected to the seed that fit the axis, breadth first.
-    fn grow(&self, seed: u32, axis: Vec3, limits: &ChartLimits) -> Vec<u32> {
+    fn grow(&mut self, seed: u32, axis: Vec3, limits: &ChartLimits) -> Vec<u32> {
+        self.growths += 1;
         let origin = self.mesh.positions[self.mesh.triangles[seed as usize][0] as usize];
         let [x, y] = perpendicular(axis);
         let (mut low, mut high) = (Vec2::INFINITY, Vec2::NEG_INFINITY);
@@ -105,23 +116,29 @@ impl<'a> Cutter<'a> {
                 (l.min(q), h.max(q))
             })
         };
-        let mut list = vec![seed];
-        let mut met = std::collections::BTreeSet::from([seed]);
-        let mut front = VecDeque::from([seed]);
         (low, high) = bounds(seed, low, high);
-        while let Some(t) = front.pop_front() {
+        let mut met = std::mem::take(&mut self.met);
+        met[seed as usize] = self.growths;
+        // Breadth first: the list is the front as well.
+        let (mut list, mut next) = (vec![seed], 0);
+        while let Some(&t) = list.get(next) {
+            next += 1;
             for n in self.neighbours[t as usize] {
-                if n == NONE || self.taken[n as usize] || !self.fits(n, axis, limits) || !met.insert(n) {
+                if n == NONE || met[n as usize] == self.growths || self.taken[n as usize] {
                     continue;
                 }
+                if !self.fits(n, axis, limits) {
+                    continue;
+                }
+                met[n as usize] = self.growths;
                 let (l, h) = bounds(n, low, high);
                 if (h - l).max_element() <= limits.side {
                     (low, high) = (l, h);
                     list.push(n);
-                    front.push_back(n);
                 }
             }
         }
+        self.met = met;
         list
     }
 
