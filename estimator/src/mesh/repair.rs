@@ -32,22 +32,40 @@ pub fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
         (Some(a), Some(b), Some(c)) => (b - a).cross(c - a).length_squared() > 0.0,
         _ => false,
     };
-    let mut keyed: Vec<([u32; 3], usize)> = mesh
-        .triangles
-        .iter()
-        .enumerate()
-        .filter(|(_, t)| usable(t))
-        .map(|(index, t)| {
-            let mut key = *t;
-            key.sort_unstable();
-            (key, index)
-        })
-        .collect();
-    keyed.par_sort_unstable();
-    keyed.dedup_by_key(|k| k.0);
-    let mut kept: Vec<usize> = keyed.into_iter().map(|k| k.1).collect();
-    kept.sort_unstable();
-    kept.into_iter().map(|i| mesh.triangles[i]).collect()
+    let kept: Vec<[u32; 3]> = mesh.triangles.par_iter().copied().filter(usable).collect();
+    let is_again = again(&kept, mesh.positions.len());
+    kept.into_iter().zip(is_again).filter(|(_, again)| !again).map(|(t, _)| t).collect()
+}
+
+/// Whether an earlier triangle has the same corners, in any order: `[triangle]`.
+fn again(triangles: &[[u32; 3]], vertices: usize) -> Vec<bool> {
+    // Those with the same corners share the lowest one: numbers of the triangles by it, ascending.
+    let lowest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
+    let mut starts = vec![0_u32; vertices + 1];
+    triangles.iter().for_each(|t| starts[lowest(t) + 1] += 1);
+    for i in 0..vertices {
+        starts[i + 1] += starts[i];
+    }
+    let (mut next, mut by_lowest) = (starts.clone(), vec![0_u32; triangles.len()]);
+    for (n, t) in (0..).zip(triangles) {
+        let at = &mut next[lowest(t)];
+        by_lowest[*at as usize] = n;
+        *at += 1;
+    }
+    let sorted = |n: u32| {
+        let mut key = triangles[n as usize];
+        key.sort_unstable();
+        (key, n)
+    };
+    let mut again = vec![false; triangles.len()];
+    let mut keyed = Vec::new();
+    for range in starts.windows(2).filter(|w| w[1] - w[0] > 1) {
+        keyed.clear();
+        keyed.extend(by_lowest[range[0] as usize..range[1] as usize].iter().map(|n| sorted(*n)));
+        keyed.sort_unstable();
+        keyed.windows(2).filter(|w| w[0].0 == w[1].0).for_each(|w| again[w[1].1 as usize] = true);
+    }
+    again
 }
 
 /// Unit vertex normals, triangles weighted by area; +Z for vertices without a triangle.
