@@ -4,7 +4,7 @@
 use crate::camera::pinhole::Pinhole;
 use crate::camera::rig::Rig;
 use crate::frame::preprocess::Frame;
-use crate::tsdf::visibility::VisibilityMap;
+use crate::tsdf::visibility::{Runs, VisibilityMap};
 use firmware_config::FusionConfig;
 use firmware_config::tuning::FusionTuning;
 use rayon::prelude::*;
@@ -124,8 +124,9 @@ impl Candidates {
         self.list.sort_by_key(|c| c.index);
         let stride = mesh.positions.len().div_ceil(tuning.keyframes.max_vertices as usize).max(1);
         let sampled: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
+        let runs = Runs::new(mesh);
         let views: Vec<Vec<u8>> =
-            self.list.par_iter().map(|c| c.visibility(mesh, &sampled, &rig.grey[1], tuning)).collect();
+            self.list.par_iter().map(|c| c.visibility(mesh, &runs, &sampled, &rig.grey[1], tuning)).collect();
         let room = self.frames > 0 && self.depth_sum / f64::from(self.frames) > tuning.keyframes.room_depth_m;
         let spacing = config.keyframe_spacing_m * if room { 2.0 } else { 1.0 };
         let chosen = greedy(&self.list, &views, spacing, config);
@@ -159,8 +160,15 @@ fn spread<'a>(frames: &[&'a Candidate], n: usize) -> Vec<&'a Candidate> {
 
 impl Candidate {
     /// `[sampled vertex]`: 0 not visible, 1 visible, 2 visible at a good angle (`keyframes.full_cos`).
-    fn visibility(&self, mesh: &Mesh, sampled: &[usize], camera: &Pinhole, tuning: &FusionTuning) -> Vec<u8> {
-        let map = VisibilityMap::new(mesh, &self.pose, camera, &tuning.surface_coverage);
+    fn visibility(
+        &self,
+        mesh: &Mesh,
+        runs: &Runs,
+        sampled: &[usize],
+        camera: &Pinhole,
+        tuning: &FusionTuning,
+    ) -> Vec<u8> {
+        let map = VisibilityMap::new(runs, &self.pose, camera, &tuning.surface_coverage);
         let quality = |i: &usize| match map.visible_cos(mesh.positions[*i], mesh.normals[*i]) {
             None => 0,
             Some(cos) if cos > tuning.keyframes.full_cos as f32 => 2,

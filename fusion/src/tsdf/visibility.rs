@@ -3,12 +3,57 @@
 use crate::camera::pinhole::{Pinhole, Rigid};
 use crate::tsdf::components::Components;
 use firmware_config::tuning::SurfaceCoverageTuning;
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use recordings::types::{Mesh, Pose};
+use std::ops::Range;
 
 /// Triangles closer than this are not drawn, metres.
 const NEAR_M: f32 = 0.05;
+/// Triangles of one run at most, and how far from the first of them one may be. Those of one block follow each other.
+const MAX_RUN: usize = 256;
+const REACH_M: f32 = 0.08;
+/// Rounding moves a point by less than this share of the largest coordinate.
+const ROUNDING: f32 = 1e-5;
+
+/// A run of triangles of a mesh, that poses from which none of it is in the image pass over.
+struct Run {
+    triangles: Range<usize>,
+    /// Sphere around its vertices, the radius with room for rounding.
+    center: Vec3,
+    radius: f32,
+}
+
+/// A mesh in runs of triangles.
+pub struct Runs<'a> {
+    mesh: &'a Mesh,
+    runs: Vec<Run>,
+}
+
+impl<'a> Runs<'a> {
+    /// Divides a mesh.
+    pub fn new(mesh: &'a Mesh) -> Self {
+        let at = |t: usize| mesh.positions[mesh.triangles[t][0] as usize];
+        let (mut runs, mut start) = (Vec::new(), 0);
+        for t in 1..=mesh.triangles.len() {
+            if t == mesh.triangles.len() || t - start == MAX_RUN || at(t).distance(at(start)) > REACH_M {
+                runs.push(Run::new(mesh, start..t));
+                start = t;
+            }
+        }
+        Self { mesh, runs }
+    }
+}
+
+impl Run {
+    fn new(mesh: &Mesh, triangles: Range<usize>) -> Self {
+        let positions = || mesh.triangles[triangles.clone()].iter().flatten().map(|&v| mesh.positions[v as usize]);
+        let (low, high) = positions().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(l, h), p| (l.min(p), h.max(p)));
+        let center = 0.5 * (low + high);
+        let radius = 0.5 * low.distance(high) + ROUNDING * (low.abs().max(high.abs()).max_element() + 1.0);
+        Self { triangles, center, radius }
+    }
+}
 
 /// Depth image of the mesh from one pose, for visibility tests.
 pub struct VisibilityMap<'a> {
@@ -23,7 +68,12 @@ pub struct VisibilityMap<'a> {
 
 impl<'a> VisibilityMap<'a> {
     /// Renders the depth of the mesh.
-    pub fn new(mesh: &Mesh, world_from_camera: &Pose, camera: &'a Pinhole, tuning: &SurfaceCoverageTuning) -> Self {
+    pub fn new(
+        Runs { mesh, runs }: &Runs,
+        world_from_camera: &Pose,
+        camera: &'a Pinhole,
+        tuning: &SurfaceCoverageTuning,
+    ) -> Self {
         let camera_from_world = Rigid::from(&world_from_camera.inverse());
         let project = |p: &Vec3| {
             let p = camera_from_world.apply(*p);
@@ -33,10 +83,17 @@ impl<'a> VisibilityMap<'a> {
             let w = 1.0 / p.z;
             Vec3::new(camera.fx * p.x * w + camera.cx, camera.fy * p.y * w + camera.cy, w)
         };
+        let planes = planes(camera);
         let projected: Vec<Vec3> = mesh.positions.iter().map(project).collect();
         let mut nearest = vec![f32::INFINITY; camera.width * camera.height];
-        for t in &mesh.triangles {
-            draw(camera, t.map(|i| projected[i as usize]), &mut nearest);
+        for run in runs {
+            let center = camera_from_world.apply(run.center);
+            if planes.iter().any(|p| p.truncate().dot(center) + p.w < -run.radius) {
+                continue;
+            }
+            for t in &mesh.triangles[run.triangles.clone()] {
+                draw(camera, t.map(|i| projected[i as usize]), &mut nearest);
+            }
         }
         Self {
             camera,
@@ -58,6 +115,20 @@ impl<'a> VisibilityMap<'a> {
         let slack = p.z * (self.slack_share + libm::sqrtf(0.5) * slant / self.camera.fx);
         (p.z < self.nearest[pixel] + slack).then_some(cos)
     }
+}
+
+/// Planes around what the camera sees from [`NEAR_M`] on: inside, n · p + w is not negative, with unit vectors n.
+fn planes(camera: &Pinhole) -> [Vec4; 5] {
+    let Pinhole { fx, fy, cx, cy, width, height } = *camera;
+    let (right, bottom) = (width as f32 - 1.0, height as f32 - 1.0);
+    let through_center = |n: Vec3| n.normalize().extend(0.0);
+    [
+        Vec3::Z.extend(-NEAR_M),
+        through_center(Vec3::new(fx, 0.0, cx)),
+        through_center(Vec3::new(-fx, 0.0, right - cx)),
+        through_center(Vec3::new(0.0, fy, cy)),
+        through_center(Vec3::new(0.0, -fy, bottom - cy)),
+    ]
 }
 
 /// Renders the depth of a triangle at the centres of the pixels that it covers. Corners are (u, v, 1/depth), since inverse depth is linear
@@ -105,10 +176,11 @@ pub fn drop_unseen(
 ) {
     let poses: Vec<Pose> = poses.collect();
     let mut seen = vec![false; mesh.positions.len()];
+    let runs = Runs::new(mesh);
     // As many poses at once as there are threads.
     for poses in poses.chunks(rayon::current_num_threads()) {
         let maps: Vec<VisibilityMap<'_>> =
-            poses.par_iter().map(|pose| VisibilityMap::new(mesh, pose, camera, tuning)).collect();
+            poses.par_iter().map(|pose| VisibilityMap::new(&runs, pose, camera, tuning)).collect();
         seen.par_iter_mut().zip(&mesh.positions).zip(&mesh.normals).for_each(|((seen, p), n)| {
             *seen = *seen || maps.iter().any(|m| m.visible_cos(*p, *n).is_some());
         });
