@@ -74,11 +74,11 @@ pub fn estimate_on(
     progress: &dyn Progress,
 ) -> Result<Estimate, EstimateError> {
     let config = &budget::at_quality(config);
-    let first = stages::first_answer(machine, scan, config, options, progress);
-    let mut run = Run::new(machine, scan, config, options, progress, first);
+    let first = stages::First::new(machine, scan, config, options, progress);
+    let mut run = Run::new(machine, scan, config, options, progress, first.done());
 
     // §3.1: regular mesh, lit colours, exposures, poses (Eqs. 2–5). §3.2: segments (Eqs. 6–7).
-    let mut prepared = stages::prepare(scan, &mut run)?;
+    let mut prepared = stages::prepare(scan, || first.made_late(), &mut run)?;
 
     // §3.3: transfer (Eq. 8), light and albedo (Eqs. 9–12).
     let mut solved = stages::light_and_albedo(&mut prepared, &mut run);

@@ -14,6 +14,6 @@ mod workload;
 
 pub use first_answer::{Done, FirstAnswer};
 pub use machine::{Machine, WallClock};
-pub use plan::Plan;
+pub use plan::{Plan, is_ample};
 pub use quality::at_quality;
 pub use workload::Workload;

@@ -11,6 +11,7 @@ use firmware_config::EstimatorConfig;
 use firmware_config::tuning::BudgetTuning;
 use recordings::decision::{Cut, Reduction};
 use std::sync::Mutex;
+use std::time::Duration;
 
 /// An answer that stands is written before the run ends if that takes less than this share of the time left.
 const HAND_OVER_SHARE: f64 = 0.1;
@@ -42,6 +43,14 @@ pub struct Plan<'a> {
     planned: Vec<Cut>,
     /// Cuts that are final.
     fixed: Vec<Cut>,
+}
+
+/// True if by a short look at the machine all that the settings ask for fits the budget.
+pub fn is_ample(machine: &dyn Machine, budget: Duration, config: &EstimatorConfig, size: &Size) -> bool {
+    let (budget, tuning) = (budget.as_secs_f64(), &config.tuning.budget);
+    let needed = Workload::full(config, None).all(size);
+    let probe = probe::probe(machine, needed, budget, budget, tuning);
+    needed < tuning.usable_share * probe.speed * (budget - probe.end)
 }
 
 impl<'a> Plan<'a> {

@@ -35,7 +35,7 @@ const SCRIPT: [&str; 7] = [
 const BANDS: usize = 4;
 const COEFFICIENTS: usize = BANDS * BANDS;
 /// Rays per vertex: the page shows 8-bit coefficients.
-const RAYS: u32 = 64;
+const RAYS: u32 = 32;
 /// Keyframe pictures are reduced to at most this width, and there are at most this many.
 const PICTURE_WIDTH: u32 = 160;
 const MOST_PICTURES: usize = 24;

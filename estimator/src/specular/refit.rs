@@ -24,6 +24,9 @@ const CONTRADICTED: f64 = 0.02;
 /// A pass that lowers the error by a smaller share is the last.
 const WORTHWHILE: f64 = 0.01;
 
+/// Gloss on less than this share of the surface seen tells nothing of exposures, of light or of its bands: it is taken away, no more.
+const LITTLE: f64 = 0.02;
+
 /// The surface whose gloss is fitted.
 #[derive(Clone, Copy)]
 pub struct Surface<'a> {
@@ -84,16 +87,19 @@ pub fn refit(
     if glossy == 0 {
         return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
     }
-    let refitter = Refitter { surface, rays: &rays, fields, tuning };
+    let refitter = Refitter { surface, rays: &rays, fields, tuning, most: f64::INFINITY };
     // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
     // so it does not decide whether gloss is there, but where it contradicts with all bands.
     let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
+    let refitter = Refitter { most: without * (1.0 + CONTRADICTED), ..refitter };
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
-    errors.extend(refitter.repeat(&mut best));
     let mut with_more_bands = Vec::new();
-    let mut best = refitter.more_bands(best, &mut with_more_bands);
-    if best.prediction.error() > without * (1.0 + CONTRADICTED) {
+    if surface.share(&gloss, &fields.lit_weight) >= LITTLE {
+        errors.extend(refitter.repeat(&mut best));
+        best = refitter.more_bands(best, &mut with_more_bands);
+    }
+    if best.prediction.error() > refitter.most {
         let decisions = vec![decision(false, Some(without), errors)];
         return Refitted { found, gloss: vec![Gloss::NONE; surface.segments], decisions };
     }
@@ -120,7 +126,7 @@ fn fit_and_expose(
         fit(&surface.reflection(found), rays, fields, surface.segment, surface.segments, tuning)
     };
     let gloss = fit(&found, fields);
-    if !gloss.iter().any(|g| g.significant) {
+    if surface.share(&gloss, &fields.lit_weight) < LITTLE {
         return (found, gloss, None);
     }
     let is_matte: Vec<bool> = surface.segment.iter().map(|s| !gloss[*s as usize].significant).collect();
@@ -129,7 +135,7 @@ fn fit_and_expose(
         return (found, gloss, change);
     }
     let colors = surface.colors(&fields.lit_color, fields);
-    let found = factorise(Arc::clone(&found.transfer.traced), &colors, options, None);
+    let found = factorise(Arc::clone(&found.transfer.traced), &colors, options, Some(found.start()));
     let gloss = fit(&found, fields);
     (found, gloss, change)
 }
@@ -149,6 +155,13 @@ impl Surface<'_> {
         }
     }
 
+    /// Share of the vertices seen whose segments are glossy.
+    fn share(&self, gloss: &[Gloss], lit_weight: &[f32]) -> f64 {
+        let seen = || self.segment.iter().zip(lit_weight).filter(|(_, w)| **w > 0.0);
+        let glossy = seen().filter(|(s, _)| gloss[**s as usize].significant).count();
+        glossy as f64 / seen().count().max(1) as f64
+    }
+
     fn reflection<'a>(&'a self, found: &'a Factorised) -> Reflection<'a> {
         Reflection::new(self.mesh, self.scene, found)
     }
@@ -159,6 +172,8 @@ struct Refitter<'a> {
     rays: &'a MirrorRays<'a>,
     fields: &'a Association,
     tuning: &'a SpecularTuning,
+    /// An error of the prediction above it contradicts gloss.
+    most: f64,
 }
 
 impl Refitter<'_> {
@@ -169,7 +184,7 @@ impl Refitter<'_> {
 
     /// Lit colours without gloss, and light and gloss from them.
     fn cleaned<'o>(&self, from: &Factorised, gloss: &[Gloss], options: FactorisationOptions<'o>) -> Cleaned<'o> {
-        let Self { surface, rays, fields, tuning } = *self;
+        let Self { surface, rays, fields, tuning, .. } = *self;
         let lit_color = clean(&surface.reflection(from), rays, fields, surface.segment, gloss, tuning);
         // With more bands than choose it the regularisation weight stays.
         let bands = from.solution.bands();
@@ -182,9 +197,13 @@ impl Refitter<'_> {
         Cleaned { found, gloss, prediction, options }
     }
 
-    /// Cleans and factorises again while the prediction improves. Returns the error of each trial.
+    /// Cleans and factorises again while the prediction improves, unless it contradicts gloss by much more than passes change. Returns the
+    /// error of each trial.
     fn repeat(&self, best: &mut Cleaned) -> Vec<f64> {
         let mut errors = Vec::new();
+        if best.prediction.error() > self.most {
+            return errors;
+        }
         for _ in 1..self.tuning.max_passes {
             let trial = self.cleaned(&best.found, &best.gloss, best.options);
             errors.push(trial.prediction.error());

@@ -1,7 +1,7 @@
 //! The first answer: a coarse estimate that is complete, so that a result stands whatever the machine does afterwards.
 
 use crate::api::{Options, Progress};
-use crate::budget::{Done, FirstAnswer, Machine, WallClock};
+use crate::budget::{self, Done, FirstAnswer, Machine, WallClock};
 use crate::factorisation::factorise;
 use crate::mesh::clustering::sketched;
 use crate::specular::Gloss;
@@ -17,25 +17,70 @@ use recordings::local_light::LocalLight;
 use recordings::scan::Scan;
 use std::sync::Arc;
 
-/// Hands a coarse estimate over, if the run has a clock; none where its few pictures show too little. It keeps its own coarse mesh:
-/// brought to the vertices of the scan, it would come later and tell no more. Returns what it took of the machine.
-pub fn first_answer(
-    machine: &dyn Machine,
-    scan: &Scan,
-    config: &EstimatorConfig,
-    options: &Options,
-    progress: &dyn Progress,
-) -> Done {
-    if options.rounds.is_some() {
-        return Done::default();
+/// The first answer of a run, made at once or beside other work. It keeps its own coarse mesh: brought to the vertices of the scan, it
+/// would come later and tell no more.
+#[derive(Clone, Copy, Default)]
+pub struct First<'a> {
+    /// What it took of the machine, if it is made.
+    done: Done,
+    /// What it is made of, if it is not.
+    waits: Option<Ingredients<'a>>,
+}
+
+#[derive(Clone, Copy)]
+struct Ingredients<'a> {
+    scan: &'a Scan,
+    config: &'a EstimatorConfig,
+    options: &'a Options,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> First<'a> {
+    /// Hands a coarse estimate over, if the run has a clock; none where its few pictures show too little. Where the budget is far from
+    /// binding, it waits for work that leaves threads idle.
+    pub fn new(
+        machine: &'a dyn Machine,
+        scan: &'a Scan,
+        config: &'a EstimatorConfig,
+        options: &'a Options,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        if options.rounds.is_some() {
+            return Self::default();
+        }
+        progress.stage("first answer", 0.0);
+        let ingredients = Ingredients { scan, config, options, progress };
+        if budget::is_ample(machine, options.budget, config, &Run::size(scan, config)) {
+            return Self { done: Done::default(), waits: Some(ingredients) };
+        }
+        let began = machine.now();
+        let reference_seconds = ingredients.make();
+        machine.worked(reference_seconds);
+        Self { done: Done { reference_seconds, seconds: machine.now() - began }, waits: None }
     }
-    progress.stage("first answer", 0.0);
-    let size = Run::size(scan, config);
-    let (began, effort) = (machine.now(), FirstAnswer::of(&size));
-    make(scan, effort, config, options, progress);
-    let reference_seconds = effort.cost(&size);
-    machine.worked(reference_seconds);
-    Done { reference_seconds, seconds: machine.now() - began }
+
+    /// What it took of the machine so far.
+    #[must_use]
+    pub fn done(&self) -> Done {
+        self.done
+    }
+
+    /// Makes the answer if it still waits; returns the reference seconds of that.
+    #[must_use]
+    pub fn made_late(self) -> f64 {
+        self.waits.map_or(0.0, Ingredients::make)
+    }
+}
+
+impl Ingredients<'_> {
+    /// Hands the answer over; returns its cost in reference seconds.
+    fn make(self) -> f64 {
+        let Self { scan, config, options, progress } = self;
+        let size = Run::size(scan, config);
+        let effort = FirstAnswer::of(&size);
+        make(scan, effort, config, options, progress);
+        effort.cost(&size)
+    }
 }
 
 fn make(scan: &Scan, effort: FirstAnswer, config: &EstimatorConfig, options: &Options, progress: &dyn Progress) {

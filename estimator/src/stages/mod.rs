@@ -20,7 +20,7 @@ mod texture;
 mod veil;
 mod witnesses;
 
-pub use first_answer::first_answer;
+pub use first_answer::First;
 pub use gloss::Answer;
 pub use hand_over::hand_over;
 pub use materials::name_materials;

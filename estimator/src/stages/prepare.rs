@@ -12,6 +12,7 @@ use crate::specular::refit::Surface;
 use crate::stages::background::Background;
 use crate::stages::reference::{Shown, reference};
 use crate::stages::run::Run;
+use firmware_config::EstimatorConfig;
 use recordings::decision::{Decision, Warning};
 use recordings::scan::{Scan, ScanSource};
 use recordings::types::Mesh;
@@ -66,22 +67,28 @@ impl Prepared {
     }
 }
 
-/// Mesh, association (Eqs. 2–5) and segments (Eqs. 6–7).
+/// Mesh, association (Eqs. 2–5) and segments (Eqs. 6–7). Half of the making of the mesh leaves threads idle: `beside` is done beside it, and
+/// returns its reference seconds.
 ///
 /// # Errors
 /// The scan is unusable: no triangle, or no keyframe that shows any of it; the reference shows no surface.
-pub fn prepare(scan: &Scan, run: &mut Run) -> Result<Prepared, EstimateError> {
+pub fn prepare(scan: &Scan, beside: impl FnOnce() -> f64 + Send, run: &mut Run) -> Result<Prepared, EstimateError> {
     run.progress.stage("mesh", 0.0);
-    let (config, plan) = (run.config, &run.plan);
-    let vertices = plan.workload().vertices;
-    let mesh = if vertices >= Run::size(scan, config).vertices as usize {
+    let (config, vertices) = (run.config, run.plan.workload().vertices);
+    let (mesh, reference_seconds) = rayon::join(|| mesh(scan, config, vertices), beside);
+    run.plan.worked(reference_seconds);
+    prepare_on(mesh, scan, run)
+}
+
+/// The mesh of a scan with about so many vertices.
+fn mesh(scan: &Scan, config: &EstimatorConfig, vertices: usize) -> Mesh {
+    if vertices >= Run::size(scan, config).vertices as usize {
         regularise::regularise(&scan.mesh, config, scan.source)
     } else if vertices >= scan.mesh.positions.len() / SKETCHED {
         clustering::coarsened(&scan.mesh, vertices)
     } else {
         clustering::sketched(&scan.mesh, vertices)
-    };
-    prepare_on(mesh, scan, run)
+    }
 }
 
 /// Association (Eqs. 2–5) and segments (Eqs. 6–7) on a mesh that stands for the scan's.

@@ -118,7 +118,7 @@ impl<'a> Sweep<'a> {
         let (prepared, seconds) = self.timed(|sweep| {
             let mut run = Run::new(sweep.clock, sweep.scan, config, &UNLIMITED, sweep.progress, Done::default());
             run.plan.restrict(vertices, stride);
-            stages::prepare(sweep.scan, &mut run)
+            stages::prepare(sweep.scan, || 0.0, &mut run)
         });
         Ok(Shared { prepared: prepared?, seconds, keyframes: self.scan.keyframes.len().div_ceil(stride) })
     }

@@ -103,6 +103,9 @@ impl ObservedBackground {
     }
 }
 
+/// Observed directions with a weight below e to this power have none: far less than the weight that all have.
+const LEAST_LOG_WEIGHT: f32 = -20.0;
+
 /// Extrapolates the observed radiance smoothly into all directions.
 fn extrapolate(known: &mut [ObservedTexel], tuning: &SurroundingsTuning) {
     let sharpness = tuning.extrapolation_sharpness as f32;
@@ -122,7 +125,8 @@ fn extrapolate(known: &mut [ObservedTexel], tuning: &SurroundingsTuning) {
         let d = crate::render::lighting::environment::direction(i);
         // Far from every observed direction all weights are small and equal.
         let weighted = few.iter().map(|(at, r)| {
-            let w = libm::expf(sharpness * (d.dot(*at) - 1.0));
+            let x = sharpness * (d.dot(*at) - 1.0);
+            let w = if x > LEAST_LOG_WEIGHT { libm::expf(x) } else { 0.0 };
             (*r * (1e-6 + w), w)
         });
         let (sum, weight) = weighted.fold((Vec3::ZERO, 0.0), |(s, w), (r, v)| (s + r, w + v));
