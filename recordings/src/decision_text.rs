@@ -132,10 +132,13 @@ impl Decision {
             Self::Veil { share, .. } => format!("{:.1} %", 100.0 * share),
             Self::Materials { materials, .. } => materials.to_string(),
             Self::LightChroma { weight: 0.0, .. } => "each channel for itself".into(),
-            Self::LightChroma { weight, .. } => format!("drawn together by {weight}"),
+            Self::LightChroma { weight, .. } => format!("drawn together by {}", brief(*weight)),
             Self::Background(b) => {
-                let used =
-                    if b.weight > 0.0 { format!("light drawn to it by {}", b.weight) } else { "not used".into() };
+                let used = if b.weight > 0.0 {
+                    format!("light drawn to it by {}", brief(b.weight))
+                } else {
+                    "not used".into()
+                };
                 b.correlation
                     .map_or(used.clone(), |c| format!("{used}, which correlates {c:.2} with what was left out"))
             }
@@ -271,21 +274,17 @@ impl Decision {
                 "mean relative error on means of held-out patches: distant {distant:.4}, the best near model {near:.4}; at \
                  most {most:.2} of the former is asked for, since gloss can look like a lamp"
             ),
-            Self::LightChroma { held_out, .. } => {
-                let tried: Vec<String> = held_out.iter().map(|(weight, e)| format!("{weight}: {e:.4}")).collect();
-                format!(
-                    "RMS relative change of the irradiance of vertices left out, by the weight of a radiance that the channels have in common: {}",
-                    tried.join(", ")
-                )
-            }
+            Self::LightChroma { held_out, .. } => format!(
+                "RMS relative change of the irradiance of vertices left out, by the weight of a radiance that the channels have in common: {}",
+                by_weight(held_out)
+            ),
             Self::Background(b) => {
-                let tried: Vec<String> = b.held_out.iter().map(|(weight, e)| format!("{weight}: {e:.4}")).collect();
-                let tried = if tried.is_empty() {
+                let tried = if b.held_out.is_empty() {
                     String::new()
                 } else {
                     format!(
                         "RMS relative change of the irradiance of vertices left out, by the weight of what was seen: {}; ",
-                        tried.join(", ")
+                        by_weight(&b.held_out)
                     )
                 };
                 format!(
@@ -508,6 +507,17 @@ fn family(response: Response) -> &'static str {
     }
 }
 
+/// A weight in two significant digits.
+fn brief(weight: f64) -> String {
+    format!("{weight:.1e}").parse().unwrap_or(weight).to_string()
+}
+
+/// Errors by the weights that were tried.
+fn by_weight(tried: &[(f64, f64)]) -> String {
+    let tried: Vec<String> = tried.iter().map(|(weight, error)| format!("{}: {error:.4}", brief(*weight))).collect();
+    tried.join(", ")
+}
+
 fn list(values: &[f64], digits: usize) -> String {
     values.iter().map(|x| format!("{x:.digits$}")).collect::<Vec<_>>().join(", ")
 }
@@ -686,6 +696,7 @@ mod tests {
             "colour of the light | drawn together by 0.1 | RMS relative change of the irradiance of vertices left out, by the weight of a \
              radiance that the channels have in common: 0.1: 0.2100, 0: 0.2000 | 2 solutions of the light | "
         );
+        assert!(line(&drawn(0.010_234_569)).contains("drawn together by 0.01 |"));
         assert!(line(&drawn(0.0)).contains("each channel for itself"));
     }
 
