@@ -84,12 +84,12 @@ impl<'a> Channel<'a> {
         // No sun yet, where the start has none.
         state.radiance = state.radiance.resize_vertically(projection.directions(), 0.0);
         let mut regularisation = start.map_or(FIRST_REGULARISATION, |s| self.regularisation(s));
-        let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
         // A start tells outliers already, unless it knows nothing of a sun.
         let is_told = start.is_some_and(|s| s.radiance.len() == projection.directions());
         let mut weights = if is_told {
             self.robust_weights(&self.predict(&state, projection), &state.albedo)
         } else {
+            let colors: Vec<f64> = self.samples.iter().map(|s| self.color(s)).collect();
             self.weights(&colors, &state.albedo)
         };
         for _ in 1 + usize::from(is_told)..REWEIGHTINGS {

@@ -153,3 +153,17 @@ pub fn area(mesh: &Mesh) -> f64 {
 pub fn edge_for(area: f64, vertices: u32) -> f32 {
     (area / (0.75f64.sqrt() * f64::from(vertices))).sqrt() as f32
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_set_of_corners_stays_once_where_it_came_first() {
+        let positions = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z, Vec3::ONE, Vec3::NAN];
+        let triangles =
+            vec![[3, 1, 2], [1, 2, 3], [0, 1, 2], [2, 1, 3], [0, 1, 4], [2, 1, 0], [1, 1, 2], [0, 1, 5], [4, 0, 2]];
+        let mesh = Mesh { normals: vec![Vec3::Z; positions.len()], positions, triangles };
+        assert_eq!(usable_triangles(&mesh), [[3, 1, 2], [0, 1, 2], [0, 1, 4], [4, 0, 2]]);
+    }
+}

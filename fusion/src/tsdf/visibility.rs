@@ -189,3 +189,54 @@ pub fn drop_unseen(
     let mut patches = Components::new(mesh.positions.len(), mesh.triangles.iter().filter(|t| unseen(t)));
     mesh.triangles.retain(|t| !unseen(t) || patches.triangles(t[0]) < tuning.min_unseen_triangles);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DQuat, DVec3};
+    use recordings::types::vertex_normals;
+
+    /// Quads along a side of the floor, and along a side of a block of it.
+    const SIDE: u32 = 64;
+    const BLOCK: u32 = 8;
+
+    /// A wavy floor of 6.4 m, its blocks in no order.
+    fn floor() -> Mesh {
+        let at = |i: u32| 0.1 * i as f32 - 3.2;
+        let height = |x: u32, y: u32| 0.2 * libm::sinf(0.4 * x as f32) * libm::cosf(0.3 * y as f32);
+        let corners = (0..=SIDE).flat_map(|y| (0..=SIDE).map(move |x| (x, y)));
+        let positions: Vec<Vec3> = corners.map(|(x, y)| Vec3::new(at(x), at(y), height(x, y))).collect();
+        let blocks = SIDE / BLOCK;
+        let quads = (0..blocks * blocks).map(|n| n * 37 % (blocks * blocks)).flat_map(|block| {
+            let (left, top) = (block % blocks * BLOCK, block / blocks * BLOCK);
+            (0..BLOCK * BLOCK).map(move |q| (left + q % BLOCK, top + q / BLOCK))
+        });
+        let corner = |x: u32, y: u32| y * (SIDE + 1) + x;
+        let triangles: Vec<[u32; 3]> = quads
+            .flat_map(|(x, y)| {
+                let [a, b, c, d] = [corner(x, y), corner(x + 1, y), corner(x + 1, y + 1), corner(x, y + 1)];
+                [[a, b, c], [a, c, d]]
+            })
+            .collect();
+        Mesh { normals: vertex_normals(&positions, &triangles), positions, triangles }
+    }
+
+    #[test]
+    fn what_is_passed_over_is_in_no_picture() {
+        let mesh = floor();
+        let camera = Pinhole { width: 160, height: 120, fx: 130.0, fy: 130.0, cx: 79.5, cy: 59.5 };
+        let tuning = firmware_config::FusionConfig::default().tuning.surface_coverage;
+        let whole = Run { triangles: 0..mesh.triangles.len(), center: Vec3::ZERO, radius: f32::INFINITY };
+        let (runs, whole) = (Runs::new(&mesh), Runs { mesh: &mesh, runs: vec![whole] });
+        let mut drawn = Vec::new();
+        for n in 0..12 {
+            // Down, along the floor, and up, from above, from within and from beside.
+            let rotation = DQuat::from_rotation_z(f64::from(n)) * DQuat::from_rotation_x(0.5 * f64::from(n % 7));
+            let pose = Pose::new(rotation, DVec3::new(0.4 * f64::from(n) - 2.0, 0.3, 0.15 * f64::from(n) - 0.3));
+            let [some, all] = [&runs, &whole].map(|r| VisibilityMap::new(r, &pose, &camera, &tuning).nearest);
+            assert_eq!(some, all, "pose {n}");
+            drawn.push(all.iter().filter(|z| z.is_finite()).count());
+        }
+        assert!(drawn.iter().filter(|n| **n > 1000).count() > 3 && drawn.contains(&0), "{drawn:?}");
+    }
+}
