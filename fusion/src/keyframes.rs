@@ -126,7 +126,7 @@ impl Candidates {
         let sampled: Vec<usize> = (0..mesh.positions.len()).step_by(stride).collect();
         let runs = Runs::new(mesh);
         let views: Vec<Vec<u8>> =
-            self.list.par_iter().map(|c| c.visibility(mesh, &runs, &sampled, &rig.grey[1], tuning)).collect();
+            self.list.par_iter().map(|c| c.visibility(&runs, &sampled, &rig.grey[1], tuning)).collect();
         let room = self.frames > 0 && self.depth_sum / f64::from(self.frames) > tuning.keyframes.room_depth_m;
         let spacing = config.keyframe_spacing_m * if room { 2.0 } else { 1.0 };
         let chosen = greedy(&self.list, &views, spacing, config);
@@ -160,14 +160,8 @@ fn spread<'a>(frames: &[&'a Candidate], n: usize) -> Vec<&'a Candidate> {
 
 impl Candidate {
     /// `[sampled vertex]`: 0 not visible, 1 visible, 2 visible at a good angle (`keyframes.full_cos`).
-    fn visibility(
-        &self,
-        mesh: &Mesh,
-        runs: &Runs,
-        sampled: &[usize],
-        camera: &Pinhole,
-        tuning: &FusionTuning,
-    ) -> Vec<u8> {
+    fn visibility(&self, runs: &Runs, sampled: &[usize], camera: &Pinhole, tuning: &FusionTuning) -> Vec<u8> {
+        let mesh = runs.mesh;
         let map = VisibilityMap::new(runs, &self.pose, camera, &tuning.surface_coverage);
         let quality = |i: &usize| match map.visible_cos(mesh.positions[*i], mesh.normals[*i]) {
             None => 0,

@@ -49,6 +49,7 @@ pub struct Plan<'a> {
 pub fn is_ample(machine: &dyn Machine, budget: Duration, config: &EstimatorConfig, size: &Size) -> bool {
     let (budget, tuning) = (budget.as_secs_f64(), &config.tuning.budget);
     let needed = Workload::full(config, None).all(size);
+    // The shortest probe: as if earlier work had taken the time of a longer one.
     let probe = probe::probe(machine, needed, budget, budget, tuning);
     needed < tuning.usable_share * probe.speed * (budget - probe.end)
 }

@@ -363,11 +363,9 @@ impl<'a> Choice<'a> {
 
     /// Form factors of a lamp: `[sample]`.
     fn lamp_column(&self, lamp: &Sphere) -> Arc<Vec<f32>> {
-        let known =
-            |columns: &[(Sphere, Arc<Vec<f32>>)]| columns.iter().find(|(l, _)| l == lamp).map(|(_, c)| c.clone());
         let columns = || self.lamp_columns.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(column) = known(&columns()) {
-            return column;
+        if let Some((_, column)) = columns().iter().find(|(l, _)| l == lamp) {
+            return Arc::clone(column);
         }
         // Not under the lock: whoever waits for it may hold the rays that this one waits for.
         let column = Arc::new(lamps::form_factors(self.scene.mesh, self.scene.rays, &self.samples.vertex, lamp));

@@ -87,19 +87,19 @@ pub fn refit(
     if glossy == 0 {
         return Refitted { found, gloss, decisions: vec![decision(false, None, Vec::new())] };
     }
-    let refitter = Refitter { surface, rays: &rays, fields, tuning, most: f64::INFINITY };
+    let refitter = Refitter { surface, rays: &rays, fields, tuning };
     // Significant weights that views bear out are the evidence: the prediction hangs on the error of the light more than on gloss,
     // so it does not decide whether gloss is there, but where it contradicts with all bands.
     let without = refitter.predict(&found, &vec![Gloss::NONE; surface.segments]).error();
-    let refitter = Refitter { most: without * (1.0 + CONTRADICTED), ..refitter };
+    let most = without * (1.0 + CONTRADICTED);
     let mut best = refitter.cleaned(&found, &gloss, *options);
     let mut errors = vec![best.prediction.error()];
     let mut with_more_bands = Vec::new();
     if surface.share(&gloss, &fields.lit_weight) >= LITTLE {
-        errors.extend(refitter.repeat(&mut best));
-        best = refitter.more_bands(best, &mut with_more_bands);
+        errors.extend(refitter.repeat(&mut best, most));
+        best = refitter.more_bands(best, most, &mut with_more_bands);
     }
-    if best.prediction.error() > refitter.most {
+    if best.prediction.error() > most {
         let decisions = vec![decision(false, Some(without), errors)];
         return Refitted { found, gloss: vec![Gloss::NONE; surface.segments], decisions };
     }
@@ -172,8 +172,6 @@ struct Refitter<'a> {
     rays: &'a MirrorRays<'a>,
     fields: &'a Association,
     tuning: &'a SpecularTuning,
-    /// An error of the prediction above it contradicts gloss.
-    most: f64,
 }
 
 impl Refitter<'_> {
@@ -184,7 +182,7 @@ impl Refitter<'_> {
 
     /// Lit colours without gloss, and light and gloss from them.
     fn cleaned<'o>(&self, from: &Factorised, gloss: &[Gloss], options: FactorisationOptions<'o>) -> Cleaned<'o> {
-        let Self { surface, rays, fields, tuning, .. } = *self;
+        let Self { surface, rays, fields, tuning } = *self;
         let lit_color = clean(&surface.reflection(from), rays, fields, surface.segment, gloss, tuning);
         // With more bands than choose it the regularisation weight stays.
         let bands = from.solution.bands();
@@ -197,11 +195,11 @@ impl Refitter<'_> {
         Cleaned { found, gloss, prediction, options }
     }
 
-    /// Cleans and factorises again while the prediction improves, unless it contradicts gloss by much more than passes change. Returns the
-    /// error of each trial.
-    fn repeat(&self, best: &mut Cleaned) -> Vec<f64> {
+    /// Cleans and factorises again while the prediction improves; not at all where an error above `most` contradicts gloss by more than
+    /// passes change. Returns the error of each trial.
+    fn repeat(&self, best: &mut Cleaned, most: f64) -> Vec<f64> {
         let mut errors = Vec::new();
-        if best.prediction.error() > self.most {
+        if best.prediction.error() > most {
             return errors;
         }
         for _ in 1..self.tuning.max_passes {
@@ -219,7 +217,7 @@ impl Refitter<'_> {
     }
 
     /// Tries two bands more, up to the maximum, while they improve the prediction significantly.
-    fn more_bands<'o>(&self, mut best: Cleaned<'o>, decisions: &mut Vec<Decision>) -> Cleaned<'o> {
+    fn more_bands<'o>(&self, mut best: Cleaned<'o>, most: f64, decisions: &mut Vec<Decision>) -> Cleaned<'o> {
         let first = best.options.bands;
         while best.options.bands + 2 <= best.options.max_bands {
             let before = best.options.bands;
@@ -227,7 +225,7 @@ impl Refitter<'_> {
             let options = FactorisationOptions { bands: before + 2, ..best.options };
             let mut trial = self.cleaned(&best.found, &best.gloss, options);
             let mut errors = vec![trial.prediction.error()];
-            errors.extend(self.repeat(&mut trial));
+            errors.extend(self.repeat(&mut trial, most));
             let better = trial.prediction.gain_over(&best.prediction) > self.tuning.min_prediction_gain;
             if better {
                 best = trial;

@@ -124,10 +124,8 @@ impl<'a> Cutter<'a> {
         while let Some(&t) = list.get(next) {
             next += 1;
             for n in self.neighbours[t as usize] {
-                if n == NONE || met[n as usize] == self.growths || self.taken[n as usize] {
-                    continue;
-                }
-                if !self.fits(n, axis, limits) {
+                let is_new = |n: u32| met[n as usize] != self.growths && !self.taken[n as usize];
+                if n == NONE || !is_new(n) || !self.fits(n, axis, limits) {
                     continue;
                 }
                 met[n as usize] = self.growths;

@@ -26,7 +26,7 @@ struct Run {
 
 /// A mesh in runs of triangles.
 pub struct Runs<'a> {
-    mesh: &'a Mesh,
+    pub mesh: &'a Mesh,
     runs: Vec<Run>,
 }
 
