@@ -5,6 +5,7 @@ use crate::association::eligibility::EligibilityRules;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::{Observation, RefinedView};
 use crate::association::sampling::{KeyframeObservations, observe};
+use crate::numerics::lists::by_key;
 use rayon::prelude::*;
 
 /// Observations before exposure: `color` is the linear value f~_ij of the image itself.
@@ -41,19 +42,7 @@ impl LightField {
             let poor = per_view.iter().flat_map(|v| &v.poor).filter(|o| !well_seen[o.vertex as usize]);
             per_view.iter().flat_map(|v| &v.good).chain(poor)
         };
-        let mut offsets = vec![0_u32; n + 1];
-        kept().for_each(|o| offsets[o.vertex as usize + 1] += 1);
-        for i in 0..n {
-            offsets[i + 1] += offsets[i];
-        }
-        let mut cursor = offsets.clone();
-        let blank = Observation { vertex: 0, keyframe: 0, color: [0.0; 3], weight: 0.0, clipped: false };
-        let mut observations = vec![blank; offsets[n] as usize];
-        for o in kept() {
-            let at = &mut cursor[o.vertex as usize];
-            observations[*at as usize] = *o;
-            *at += 1;
-        }
+        let (offsets, observations) = by_key(n, kept().map(|o| (o.vertex, *o)));
         Self { observations, offsets }
     }
 

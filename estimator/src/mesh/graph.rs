@@ -1,5 +1,6 @@
 //! The mesh as a graph: vertices that share a triangle edge are neighbours.
 
+use crate::numerics::lists::by_key;
 use glam::Vec3;
 use recordings::types::Mesh;
 
@@ -18,27 +19,8 @@ impl Graph {
     #[must_use]
     pub fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
         let n = vertices;
-        let mut offsets = vec![0_u32; n + 1];
-        let directed = |visit: &mut dyn FnMut(u32, u32)| {
-            for &[a, b, c] in triangles {
-                for (p, q) in [(a, b), (b, c), (c, a)] {
-                    if p != q {
-                        visit(p, q);
-                        visit(q, p);
-                    }
-                }
-            }
-        };
-        directed(&mut |p, _| offsets[p as usize + 1] += 1);
-        for i in 0..n {
-            offsets[i + 1] += offsets[i];
-        }
-        let mut cursor = offsets.clone();
-        let mut targets = vec![0_u32; offsets[n] as usize];
-        directed(&mut |p, q| {
-            targets[cursor[p as usize] as usize] = q;
-            cursor[p as usize] += 1;
-        });
+        let directed = |&[a, b, c]: &[u32; 3]| [(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)];
+        let (mut offsets, mut targets) = by_key(n, triangles.iter().flat_map(directed).filter(|(p, q)| p != q));
         // Two triangles list an inner edge twice in both its rows: sort and keep one.
         let mut kept = 0;
         let mut start = 0;

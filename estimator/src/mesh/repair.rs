@@ -1,6 +1,7 @@
 //! Defects of a scanned mesh: unusable triangles, missing normals, seams, specks.
 
 use crate::mesh::unions::Unions;
+use crate::numerics::lists::by_key;
 use crate::numerics::robust::median;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
@@ -39,19 +40,9 @@ pub fn usable_triangles(mesh: &Mesh) -> Vec<[u32; 3]> {
 
 /// Whether an earlier triangle has the same corners, in any order: `[triangle]`.
 fn again(triangles: &[[u32; 3]], vertices: usize) -> Vec<bool> {
-    // Those with the same corners share the lowest one: numbers of the triangles by it, ascending.
-    let lowest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
-    let mut starts = vec![0_u32; vertices + 1];
-    triangles.iter().for_each(|t| starts[lowest(t) + 1] += 1);
-    for i in 0..vertices {
-        starts[i + 1] += starts[i];
-    }
-    let (mut next, mut by_lowest) = (starts.clone(), vec![0_u32; triangles.len()]);
-    for (n, t) in (0..).zip(triangles) {
-        let at = &mut next[lowest(t)];
-        by_lowest[*at as usize] = n;
-        *at += 1;
-    }
+    // Those with the same corners share the lowest one.
+    let lowest = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]);
+    let (starts, by_lowest) = by_key(vertices, (0..).zip(triangles).map(|(n, t)| (lowest(t), n)));
     let sorted = |n: u32| {
         let mut key = triangles[n as usize];
         key.sort_unstable();
