@@ -20,6 +20,9 @@ const FOOTPRINT_VERTICES: usize = 4000;
 const MAX_RATIO: f32 = 8.0;
 /// Smallest share of a texel's radiance that is left when gloss is taken off.
 const MIN_MATTE: f32 = 0.05;
+/// A keyframe with less than this share of the weight of the best one that shows all of a triangle is asked for its texels only where the
+/// others are clipped: weights are raised to the fourth power.
+const HARDLY: f32 = 0.5;
 /// Largest albedo that the picture holds: beyond it darker ones would be too coarse in 8 bits.
 const MAX_SCALE: f32 = 3.0;
 /// Share of the page whose texels may be cut at the largest value: specks of gloss do not make all else coarser.
@@ -110,7 +113,7 @@ fn texels(
     colors: VertexColors,
 ) -> (Vec<Vec3>, Vec<bool>) {
     let (width, mesh) = (atlas.width as usize, context.mesh);
-    let shown = shown(context, views);
+    let weights_of_views = weights_of_views(context, views);
     let power = context.config.tuning.texture.weight_power as f32;
     let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
     let mut seen = vec![false; atlas.owner.len()];
@@ -126,9 +129,16 @@ fn texels(
             let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
             let mut albedo = mix(colors.albedo, near);
             samples.clear();
-            let shows = |(_, shown): &(&TextureView, &Vec<bool>)| corners.iter().any(|&i| shown[i as usize]);
-            let sample = |(view, _): (&TextureView, _)| view.sample(context, point, normal, atlas.texel);
-            samples.extend(views.iter().zip(&shown).filter(shows).filter_map(sample));
+            let at_corners = |of_view: &Vec<f32>| corners.map(|i| of_view[i as usize]);
+            let hardly = HARDLY * weights_of_views.iter().map(|w| least(at_corners(w))).fold(0.0, f32::max);
+            let ask = |samples: &mut Vec<ViewSample>, counts: &dyn Fn(f32) -> bool| {
+                let asked = views.iter().zip(&weights_of_views).filter(|(_, w)| counts(most(at_corners(w))));
+                samples.extend(asked.filter_map(|(view, _)| view.sample(context, point, normal, atlas.texel)));
+            };
+            ask(&mut samples, &|weight| weight > hardly);
+            if samples.iter().all(|s| s.clipped) {
+                ask(&mut samples, &|weight| weight > 0.0 && weight <= hardly);
+            }
             if let Some(radiance) = blend(&mut samples, power) {
                 seen[x] = true;
                 if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
@@ -143,11 +153,22 @@ fn texels(
     (texels, seen)
 }
 
-/// Which vertices the keyframes show: `[keyframe][vertex]`. A keyframe that shows no corner of a triangle is not asked for its texels.
-fn shown(context: &AssociationContext, views: &[TextureView]) -> Vec<Vec<bool>> {
+/// Weights of the keyframes at the vertices, 0 where they do not show them: `[keyframe][vertex]`. A keyframe that shows no corner of a
+/// triangle is not asked for its texels.
+fn weights_of_views(context: &AssociationContext, views: &[TextureView]) -> Vec<Vec<f32>> {
     let vertices = || context.mesh.positions.par_iter().zip(&context.mesh.normals);
-    let of_view = |view: &TextureView| vertices().map(|(p, n)| view.visible(context, *p, *n).is_some()).collect();
+    let of_view = |view: &TextureView| {
+        vertices().map(|(p, n)| view.visible(context, *p, *n).map_or(0.0, |v| v.weight(context))).collect()
+    };
     views.iter().map(of_view).collect()
+}
+
+fn most(weights: [f32; 3]) -> f32 {
+    weights.into_iter().fold(0.0, f32::max)
+}
+
+fn least(weights: [f32; 3]) -> f32 {
+    weights.into_iter().fold(f32::MAX, f32::min)
 }
 
 /// Texels that keyframes show without the blur of lens and pixels as wide as `footprint`, within their charts.

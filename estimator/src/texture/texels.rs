@@ -6,6 +6,8 @@ use glam::Vec3;
 /// Difference of square roots of light, relative to the square root of the texel's, at which a view counts a quarter: far above
 /// noise and gloss, below what a moving or misplaced thing makes.
 const OUTLIER: f32 = 0.35;
+/// Largest power that is taken by products.
+const MOST_PRODUCTS: u32 = 8;
 /// Rounds of reweighting.
 const ROUNDS: usize = 2;
 
@@ -21,7 +23,7 @@ pub fn blend(samples: &mut Vec<ViewSample>, power: f32) -> Option<Vec3> {
         return None;
     }
     // Relative to the best view: powers neither overflow nor vanish.
-    samples.iter_mut().for_each(|s| s.weight = libm::powf(s.weight / most, power));
+    samples.iter_mut().for_each(|s| s.weight = raised(s.weight / most, power));
     let mut color = mean(samples, |_| 1.0);
     // Of two views that differ none is known to be wrong.
     if samples.len() > 2 {
@@ -34,6 +36,16 @@ pub fn blend(samples: &mut Vec<ViewSample>, power: f32) -> Option<Vec3> {
         }
     }
     Some(color)
+}
+
+/// x to a power: a small whole one by products, which are many times as fast.
+fn raised(x: f32, power: f32) -> f32 {
+    let whole = power as u32;
+    if whole as f32 == power && whole <= MOST_PRODUCTS {
+        (0..whole).fold(1.0, |p, _| p * x)
+    } else {
+        libm::powf(x, power)
+    }
 }
 
 fn root(color: Vec3) -> Vec3 {

@@ -91,6 +91,16 @@ fn depth(context: &AssociationContext, camera: &MovingCamera) -> Vec<f32> {
     Raster::new(&camera.points(context.mesh), &context.mesh.triangles, &camera.intrinsics, context.near).depth
 }
 
+impl Visible {
+    /// Larger for views from the front, from near, and far from the picture's border.
+    #[must_use]
+    pub fn weight(&self, context: &AssociationContext) -> f32 {
+        let inside = (self.border / context.config.tuning.texture.border_px).min(1.0);
+        let near = f64::from(context.median_edge) / self.footprint;
+        (f64::from(self.cosine) * near * near * inside) as f32
+    }
+}
+
 impl TextureView {
     /// Moves the camera to where its picture fits these colours of points best, linear RGB; returns by how many pixels.
     pub fn register(&mut self, context: &AssociationContext, colors: &[(Vec3, Vec3)]) -> f64 {
@@ -112,7 +122,8 @@ impl TextureView {
     /// hidden, outside the picture, or seen from behind.
     #[must_use]
     pub fn sample(&self, context: &AssociationContext, point: Vec3, normal: Vec3, texel: f32) -> Option<ViewSample> {
-        let Visible { u, v, border, footprint, cosine } = self.visible(context, point, normal)?;
+        let visible = self.visible(context, point, normal)?;
+        let Visible { u, v, footprint, .. } = visible;
         let radius = (f64::from(texel) / footprint).clamp(1.0, MAX_RADIUS_PX);
         let sample = self.image.sample(&context.table, u, v, radius)?;
         let clipped = sample.brightest >= context.clipped;
@@ -120,9 +131,7 @@ impl TextureView {
         if clipped && distorted(&self.lens, u.round() as usize, v.round() as usize).is_none() {
             return None;
         }
-        let inside = (border / context.config.tuning.texture.border_px).min(1.0);
-        let near = f64::from(context.median_edge) / footprint;
-        let weight = (f64::from(cosine) * near * near * inside) as f32;
+        let weight = visible.weight(context);
         let veil = self.veil.at(u, v) * self.veil_share;
         let color = veil::without(Vec3::from_array(sample.color), veil) * self.exposure;
         Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
