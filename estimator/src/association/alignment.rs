@@ -5,11 +5,13 @@ use crate::association::context::AssociationContext;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::RefinedView;
 use crate::association::predicted_image::{ImageLevel, PredictedImage};
+use crate::mesh::raster::Raster;
 use crate::numerics::robust::{median, robust_sigma};
 use firmware_config::tuning::PoseTuning;
 use glam::{DVec3, Vec3};
 use isa::{Hot, Isa, dispatch};
 use nalgebra::{SMatrix, SVector};
+use rayon::prelude::*;
 use recordings::types::{Intrinsics, Pose};
 
 /// Tukey's constant in robust scales.
@@ -19,6 +21,9 @@ pub const MIN_SCALE: f64 = 1e-3;
 
 /// Edge pixels that tell by how many pixels a motion shifts all of them, at most.
 const SHIFTED: usize = 4096;
+
+/// Edge pixels that one parallel task compares.
+const COMPARED: usize = 4096;
 
 /// (rotation vector, translation) in the camera's frame.
 pub type Motion = SVector<f64, 6>;
@@ -45,12 +50,12 @@ pub struct Alignment {
     pub after: f64,
 }
 
-/// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`. `moved` is the motion since the
+/// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`, at which a z-buffer may be known. `moved` is the motion since the
 /// given pose, of which `expected` is the prior. `None` if there are too few edge pixels or the system is singular.
 pub fn align(
     context: &AssociationContext,
     image: &KeyframeImage,
-    colors: &[Vec3],
+    (colors, known): (&[Vec3], Option<&Raster>),
     view: &RefinedView,
     moved: &Motion,
     expected: &ExpectedMotion,
@@ -58,7 +63,7 @@ pub fn align(
 ) -> Option<Alignment> {
     let tuning = &context.config.tuning.pose;
     let target = ImageLevel::new(image, context, level);
-    let predicted = PredictedImage::new(context, &target, colors, view);
+    let predicted = PredictedImage::new(context, &target, (colors, known), view);
     let (pixels, every) = edge_pixels(&predicted, tuning.min_edge_strength as f32, tuning.edge_pixels as usize);
     if pixels.len() < tuning.min_edge_pixels as usize {
         return None;
@@ -239,12 +244,21 @@ impl Problem<'_> {
 
     /// The edge pixels moved by `delta`, compared with the image.
     fn compared(&self, delta: &Pose) -> Compared {
-        let mut compared = Compared { seen: Vec::new(), residuals: Vec::with_capacity(self.pixels.len()) };
-        for (index, pixel) in (0u32..).zip(&self.pixels) {
-            let point = delta.transform(pixel.point);
-            let difference = self.difference(point, pixel);
-            compared.residuals.push(difference.map_or(f32::NAN, |d| (d.length_squared() / 3.0).sqrt()));
-            compared.seen.extend(difference.map(|difference| Seen { index, point, difference }));
+        let chunk = |(task, pixels): (usize, &[EdgePixel])| {
+            let mut compared = Compared { seen: Vec::new(), residuals: Vec::with_capacity(pixels.len()) };
+            for (index, pixel) in ((task * COMPARED) as u32..).zip(pixels) {
+                let point = delta.transform(pixel.point);
+                let difference = self.difference(point, pixel);
+                compared.residuals.push(difference.map_or(f32::NAN, |d| (d.length_squared() / 3.0).sqrt()));
+                compared.seen.extend(difference.map(|difference| Seen { index, point, difference }));
+            }
+            compared
+        };
+        let chunks: Vec<Compared> = self.pixels.par_chunks(COMPARED).enumerate().map(chunk).collect();
+        let mut compared = Compared { seen: Vec::with_capacity(self.pixels.len()), residuals: Vec::new() };
+        for chunk in chunks {
+            compared.seen.extend(chunk.seen);
+            compared.residuals.extend(chunk.residuals);
         }
         compared
     }

@@ -1,6 +1,10 @@
 //! Filters on row-major images of `w` × `h` pixels.
 
 use glam::Vec3;
+use rayon::prelude::*;
+
+/// Rows of one parallel task.
+pub const ROWS: usize = 32;
 
 /// Grows a mask by `radius` pixels along both axes.
 pub fn dilated(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
@@ -33,7 +37,7 @@ fn separable<T: Copy>(image: &[T], w: usize, h: usize, radius: usize, join: impl
 
 /// Binomial 3 × 3 mean; NaN spreads to the neighbours, and the border is NaN.
 pub fn binomial(image: &[Vec3], w: usize, h: usize) -> Vec<Vec3> {
-    let (mut rows, mut out) = (vec![Vec3::NAN; w * h], vec![Vec3::NAN; w * h]);
+    let mut out = vec![Vec3::NAN; w * h];
     if w < 3 || h < 3 {
         return out;
     }
@@ -44,10 +48,19 @@ pub fn binomial(image: &[Vec3], w: usize, h: usize) -> Vec<Vec3> {
             *o = 0.25 * (a + c) + 0.5 * b;
         }
     };
-    for (out, row) in rows.chunks_exact_mut(w).zip(image.chunks_exact(w)) {
-        mean(&mut out[1..w - 1], row, &row[1..], &row[2..]);
-    }
-    mean(&mut out[w..(h - 1) * w], &rows, &rows[w..], &rows[2 * w..]);
+    out.par_chunks_mut(w * ROWS).enumerate().for_each(|(task, out)| {
+        // Means along these rows and their neighbours.
+        let first = (task * ROWS).saturating_sub(1);
+        let last = (task * ROWS + out.len() / w).min(h - 1);
+        let mut rows = vec![Vec3::NAN; w * (last + 1 - first)];
+        for (mean_row, row) in rows.chunks_exact_mut(w).zip(image[first * w..].chunks_exact(w)) {
+            mean(&mut mean_row[1..w - 1], row, &row[1..], &row[2..]);
+        }
+        for (y, out) in (task * ROWS..).zip(out.chunks_exact_mut(w)).filter(|(y, _)| (1..h - 1).contains(y)) {
+            let around = &rows[(y - 1 - first) * w..];
+            mean(out, &around[..w], &around[w..], &around[2 * w..]);
+        }
+    });
     out
 }
 

@@ -5,6 +5,7 @@ use crate::association::eligibility::EligibilityRules;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::{Observation, RefinedView};
 use crate::association::sampling::{KeyframeObservations, observe};
+use crate::mesh::raster::Raster;
 use crate::numerics::lists::by_key;
 use rayon::prelude::*;
 
@@ -14,6 +15,8 @@ pub struct LightField {
     pub observations: Vec<Observation>,
     /// Row starts in `observations`: `[vertex + 1]`.
     pub offsets: Vec<u32>,
+    /// Z-buffers of the keyframes that they were gathered from, at the poses which these had; may be empty.
+    pub rasters: Vec<Option<Raster>>,
 }
 
 impl LightField {
@@ -26,15 +29,19 @@ impl LightField {
         rules: &EligibilityRules,
         last_resort: Option<EligibilityRules>,
     ) -> Self {
-        let per_view: Vec<KeyframeObservations> = images
+        let (per_view, rasters): (Vec<KeyframeObservations>, Vec<Option<Raster>>) = images
             .par_iter()
             .zip(views)
             .enumerate()
             .map(|(j, (image, view))| match image {
-                Some(image) => observe(context, image, &view.world_from_camera, j as u16, rules, last_resort),
-                None => KeyframeObservations::default(),
+                Some(image) => {
+                    let (observed, raster) =
+                        observe(context, image, &view.world_from_camera, j as u16, rules, last_resort);
+                    (observed, Some(raster))
+                }
+                None => Default::default(),
             })
-            .collect();
+            .unzip();
         let n = context.mesh.positions.len();
         let mut well_seen = vec![false; n];
         per_view.iter().flat_map(|v| &v.good).for_each(|o| well_seen[o.vertex as usize] = true);
@@ -43,7 +50,7 @@ impl LightField {
             per_view.iter().flat_map(|v| &v.good).chain(poor)
         };
         let (offsets, observations) = by_key(n, kept().map(|o| (o.vertex, *o)));
-        Self { observations, offsets }
+        Self { observations, offsets, rasters }
     }
 
     /// Number of vertices.

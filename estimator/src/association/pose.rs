@@ -89,7 +89,9 @@ impl PoseRefiner {
                         view.world_from_camera = a.pose;
                         moved = a.moved;
                     }
-                    if let Some(next) = align(context, image, &colors, &view, &moved, &expected, level) {
+                    // Where the keyframe has not moved yet, it is drawn as it was for the observations.
+                    let known = field.rasters.get(j).and_then(Option::as_ref).filter(|_| total.is_none());
+                    if let Some(next) = align(context, image, (&colors, known), &view, &moved, &expected, level) {
                         let step_px = libm::hypot(total.as_ref().map_or(0.0, |t| t.step_px), next.step_px);
                         total = Some(Alignment { step_px, ..next });
                     }
@@ -217,7 +219,7 @@ pub fn located(
     let mut moved = Motion::zeros();
     let expected = ExpectedMotion::given(&context.config.tuning.pose);
     for &level in levels {
-        if let Some(a) = align(context, image, &colors, &found, &moved, &expected, level) {
+        if let Some(a) = align(context, image, (&colors, None), &found, &moved, &expected, level) {
             (found.world_from_camera, moved) = (a.pose, a.moved);
         }
     }

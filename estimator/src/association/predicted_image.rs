@@ -2,11 +2,12 @@
 //! linear light, whose photon noise is the same at every brightness.
 
 use crate::association::context::AssociationContext;
-use crate::association::image_filters::{binomial, dilated, min_filtered, push_pull};
+use crate::association::image_filters::{ROWS, binomial, dilated, min_filtered, push_pull};
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::observations::RefinedView;
 use crate::mesh::raster::{MISS, Raster, camera_positions, scaled};
 use glam::Vec3;
+use rayon::prelude::*;
 use recordings::types::Intrinsics;
 
 /// Pixels around an outline that take the depth of the surface in front: an outline moves with that surface.
@@ -33,21 +34,22 @@ impl ImageLevel {
             if clipped { Vec3::NAN } else { Vec3::from_array(bytes.map(|v| context.table[v as usize])) }
         };
         let mut linear = vec![Vec3::NAN; w * h];
-        for y in 0..h.min(fh / step) {
-            for x in 0..w.min(fw / step) {
-                let mut sum = Vec3::ZERO;
-                for dy in 0..step {
-                    for dx in 0..step {
-                        sum += light(image.bytes(x * step + dx, y * step + dy));
-                    }
+        let pixel = |x: usize, y: usize| {
+            let mut sum = Vec3::ZERO;
+            for dy in 0..step {
+                for dx in 0..step {
+                    sum += light(image.bytes(x * step + dx, y * step + dy));
                 }
-                let middle = |x: usize| (x * step) as f64 + 0.5 * (step - 1) as f64;
-                let shade = image.vignetting.shade(&image.camera, middle(x), middle(y));
-                linear[y * w + x] = sum / ((step * step) as f32 * shade);
             }
-        }
+            let middle = |x: usize| (x * step) as f64 + 0.5 * (step - 1) as f64;
+            let shade = image.vignetting.shade(&image.camera, middle(x), middle(y));
+            sum / ((step * step) as f32 * shade)
+        };
+        linear.par_chunks_mut(w).enumerate().take(fh / step).with_min_len(ROWS).for_each(|(y, row)| {
+            row.iter_mut().enumerate().take(fw / step).for_each(|(x, light)| *light = pixel(x, y));
+        });
         let mut color = binomial(&linear, w, h);
-        color.iter_mut().for_each(|c| *c = c.map(f32::sqrt));
+        roots(&mut color);
         Self { camera, color, linear }
     }
 
@@ -83,34 +85,47 @@ pub struct PredictedImage {
 impl PredictedImage {
     /// Renders lit `colors`, `[vertex]`, with the pose and exposure of `view` at the resolution of `level`. Beyond the mesh's
     /// outline the keyframe's own background is continued, so that outlines have a contrast.
-    pub fn new(context: &AssociationContext, level: &ImageLevel, colors: &[Vec3], view: &RefinedView) -> Self {
+    /// A z-buffer that is known is used if it has this resolution.
+    pub fn new(
+        context: &AssociationContext,
+        level: &ImageLevel,
+        (colors, known): (&[Vec3], Option<&Raster>),
+        view: &RefinedView,
+    ) -> Self {
         let camera = level.camera;
         let (w, h) = (camera.width as usize, camera.height as usize);
         let points = camera_positions(context.mesh, &view.world_from_camera);
-        let raster = Raster::new(&points, &context.mesh.triangles, &camera, context.near);
+        let drawn: Raster;
+        let raster = match known.filter(|known| known.camera == camera) {
+            Some(known) => known,
+            None => {
+                drawn = Raster::new(&points, &context.mesh.triangles, &camera, context.near);
+                &drawn
+            }
+        };
         let gain = Vec3::from_array(view.gain.map(|g| g as f32));
-        let background = background(level, &raster, context.config.tuning.pose.outline_px as usize);
-        let mut linear = Vec::with_capacity(w * h);
-        for y in 0..h {
-            for x in 0..w {
-                let i = y * w + x;
-                let t = raster.triangle[i];
-                linear.push(if t == MISS {
-                    background[i]
-                } else {
+        let mut linear = background(level, raster, context.config.tuning.pose.outline_px as usize);
+        linear.par_chunks_mut(w).enumerate().with_min_len(ROWS).for_each(|(y, row)| {
+            for (x, light) in row.iter_mut().enumerate() {
+                let t = raster.triangle[y * w + x];
+                if t != MISS {
                     let corners = context.mesh.triangles[t as usize];
                     let weights = raster.weights(x, y, corners.map(|c| points[c as usize]));
                     let color = (0..3).map(|k| colors[corners[k] as usize] * weights[k]).sum::<Vec3>();
-                    color * gain
-                });
+                    *light = color * gain;
+                }
             }
-        }
+        });
         // Smoothed once for the lens and the pixel's area, once because the keyframe's image was smoothed.
         let mut color = binomial(&binomial(&linear, w, h), w, h);
-        color.iter_mut().for_each(|c| *c = c.map(f32::sqrt));
+        roots(&mut color);
         let depth = min_filtered(&raster.depth, w, h, OUTLINE_DEPTH_PX);
         Self { width: w, height: h, camera, color, depth }
     }
+}
+
+fn roots(color: &mut [Vec3]) {
+    color.par_iter_mut().with_min_len(ROWS * ROWS).for_each(|c| *c = c.map(f32::sqrt));
 }
 
 /// The image beyond the mesh's outline and `outline_px` around it, continued over all pixels.

@@ -32,8 +32,11 @@ impl Association {
             let gain = gains[o.keyframe as usize];
             Observation { color: std::array::from_fn(|c| o.color[c] * gain[c]), weight, ..*o }
         };
-        let mut field =
-            LightField { observations: self.observations.iter().map(raw).collect(), offsets: self.offsets.clone() };
+        let mut field = LightField {
+            observations: self.observations.iter().map(raw).collect(),
+            offsets: self.offsets.clone(),
+            rasters: Vec::new(),
+        };
         let choice = if rgb { ExposureChoice::Rgb } else { ExposureChoice::Scalar };
         let problem = ExposureProblem {
             mesh,

@@ -26,7 +26,7 @@ pub struct KeyframeObservations {
     pub poor: Vec<Observation>,
 }
 
-/// All observations of one keyframe (Eqs. 3 and 4); `last_resort` adds poor ones.
+/// All observations of one keyframe (Eqs. 3 and 4), and its z-buffer; `last_resort` adds poor ones.
 pub fn observe(
     context: &AssociationContext,
     image: &KeyframeImage,
@@ -34,7 +34,7 @@ pub fn observe(
     keyframe: u16,
     rules: &EligibilityRules,
     last_resort: Option<EligibilityRules>,
-) -> KeyframeObservations {
+) -> (KeyframeObservations, Raster) {
     let mesh = context.mesh;
     let k = &image.camera;
     let points = camera_positions(mesh, pose);
@@ -77,14 +77,14 @@ pub fn observe(
         let observation = Observation { vertex: i as u32, keyframe, color: sample.color, weight, clipped };
         if good { out.good.push(observation) } else { out.poor.push(observation) }
     }
-    out
+    (out, raster)
 }
 
 /// Linear colours and weights, `[vertex]`, from a single image; weight 0 for vertices that it does not show.
 #[must_use]
 pub fn colors_of_image(context: &AssociationContext, image: &KeyframeImage, pose: &Pose) -> (Vec<Vec3>, Vec<f32>) {
     let rules = EligibilityRules::new(context.config, 1.0);
-    let observed = observe(context, image, pose, 0, &rules, Some(rules.last_resort()));
+    let (observed, _) = observe(context, image, pose, 0, &rules, Some(rules.last_resort()));
     let mut colors = vec![Vec3::ZERO; context.mesh.positions.len()];
     let mut weights = vec![0.0; colors.len()];
     for o in observed.poor.iter().chain(&observed.good) {

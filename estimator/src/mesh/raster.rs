@@ -114,6 +114,7 @@ impl Raster {
     }
 
     /// Barycentric weights of the visible point at a pixel in the triangle with these `corners` in the camera's frame.
+    #[inline]
     pub fn weights(&self, x: usize, y: usize, corners: [DVec3; 3]) -> [f32; 3] {
         let k = &self.camera;
         let ray = DVec3::new((x as f64 - k.cx) / k.fx, (y as f64 - k.cy) / k.fy, 1.0);
