@@ -119,8 +119,9 @@ fn more_rays_continue_the_first() {
     let mesh = corner(12);
     let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
     let traced = |rays, have| tracer.trace_while(rays, have, &|_| true).expect("traced");
-    let (all, more) = (traced(512, None), traced(512, Some(&traced(128, None))));
-    assert_eq!((all.rays, &all.offsets, &all.corners), (more.rays, &more.offsets, &more.corners));
+    let (all, first) = (traced(512, None), traced(128, None));
+    let more = traced(512, Some(&first));
+    assert_eq!((more.rays, &more.offsets, &more.corners), (all.rays, &first.offsets, &first.corners));
     let worst = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     assert!(worst(&all.blocked, &more.blocked) < 1e-6);
     // The first rays alone may choose the other of the two estimates of Eq. (8).

@@ -118,7 +118,7 @@ impl Traced {
         &self.corners[self.offsets[vertex] as usize..self.offsets[vertex + 1] as usize]
     }
 
-    /// Joins these rays with `more`, which follow them in the same sequence; `rays` is their sum.
+    /// Joins these rays with `more`, which follow them in the same sequence; `rays` is their sum. The hits of these stay.
     pub(super) fn join(&self, more: Self, rays: u32) -> Self {
         let share = self.rays as f32 / rays as f32;
         let mean = |old: &[f32], new: &[f32]| -> Vec<f32> {
@@ -126,21 +126,13 @@ impl Traced {
         };
         // The error of `more` was estimated from its own halves; it falls by ERROR_OF_TWICE for each doubling.
         let shrunk = libm::pow(f64::from(1.0 - share), -libm::log2(ERROR_OF_TWICE)) as f32;
-        let (mut offsets, mut corners) = (vec![0], Vec::with_capacity(self.corners.len() + more.corners.len()));
-        for i in 0..self.vertices() {
-            corners.extend_from_slice(self.hits(i));
-            corners.extend_from_slice(more.hits(i));
-            offsets.push(corners.len() as u32);
-        }
         Self {
             direct: mean(&self.direct, &more.direct).into(),
             blocked: mean(&self.blocked, &more.blocked),
             error: more.error.iter().map(|e| shrunk * e).collect(),
+            shared: more.shared,
             rays,
-            offsets: offsets.into(),
-            corners: corners.into(),
-            sun: self.sun.clone(),
-            ..more
+            ..self.clone()
         }
     }
 }

@@ -42,7 +42,7 @@ impl Tracer<'_> {
     }
 
     /// Like [`Self::trace`], but cancellable: `None` once `go_on`, which gets the share done, returns false. Rays of `have`,
-    /// traced with the same seed and bands, are not traced again.
+    /// traced with the same seed and bands, are not traced again, and its hits stay the only ones.
     #[must_use]
     pub fn trace_while(
         &self,
@@ -50,14 +50,11 @@ impl Tracer<'_> {
         have: Option<&Traced>,
         go_on: &(dyn Fn(f64) -> bool + Sync),
     ) -> Option<Traced> {
-        let hit_rays = kept_rays(self.mesh.positions.len(), rays, MAX_HITS);
-        let have = have.filter(|h| h.bands == self.bands && h.rays > 0 && h.rays < rays && h.hit_rays <= hit_rays);
-        let first = have.map_or(0, |h| h.rays);
-        let more = self.trace_range(first..rays, hit_rays, go_on)?;
-        Some(match have {
-            Some(have) => have.join(more, rays),
-            None => more,
-        })
+        match have.filter(|h| h.bands == self.bands && h.rays > 0 && h.rays < rays) {
+            // Light that bounces is smoother than what is blocked: the hits that there are suffice.
+            Some(have) => Some(have.join(self.trace_range(have.rays..rays, 0, go_on)?, rays)),
+            None => self.trace_range(0..rays, kept_rays(self.mesh.positions.len(), rays, MAX_HITS), go_on),
+        }
     }
 
     /// Cosine-weighted share of blocked rays, with `rays` rays from about `samples` evenly strided vertices.

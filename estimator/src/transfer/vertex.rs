@@ -109,11 +109,13 @@ impl Hot for Trace<'_, '_> {
         let k = row.len();
         directions.about(vertex as u32, normal, range.start as usize..range.end as usize, |index, d| {
             let half = usize::from(2 * (index - range.start as usize) >= rays as usize);
-            let hit = scene.closest_hit(origin, d);
-            let side = usize::from(hit.is_some());
+            // What blocks a ray is asked only where its hit is kept.
+            let hit = if index < hits.rays { scene.closest_hit(origin, d) } else { None };
+            let blocked = if index < hits.rays { hit.is_some() } else { scene.occluded(origin, d) };
+            let side = usize::from(blocked);
             count[side] += 1;
             lanes[half][side].push(d, &mut sums[half][side][..k]);
-            if let Some(hit) = hit.filter(|_| index < hits.rays) {
+            if let Some(hit) = hit {
                 let t = mesh.triangles[hit.triangle as usize];
                 let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
                 let facing = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
