@@ -9,13 +9,17 @@ use crate::mesh::raster::Raster;
 use crate::numerics::lists::by_key;
 use rayon::prelude::*;
 
+/// Z-buffers of all keyframes are kept if they take so many bytes at most.
+const KEPT_RASTERS: usize = 32 << 20;
+
 /// Observations before exposure: `color` is the linear value f~_ij of the image itself.
 pub struct LightField {
     /// Sorted by vertex, then keyframe.
     pub observations: Vec<Observation>,
     /// Row starts in `observations`: `[vertex + 1]`.
     pub offsets: Vec<u32>,
-    /// Z-buffers of the keyframes that they were gathered from, at the poses which these had; may be empty.
+    /// Z-buffers of the keyframes that they were gathered from, at the poses which these had; none where they would take much memory, nor
+    /// with observations of last resort, after which no pose is refined.
     pub rasters: Vec<Option<Raster>>,
 }
 
@@ -29,6 +33,9 @@ impl LightField {
         rules: &EligibilityRules,
         last_resort: Option<EligibilityRules>,
     ) -> Self {
+        let pixels = |i: &KeyframeImage| i.camera.width as usize * i.camera.height as usize;
+        let bytes = images.iter().flatten().map(pixels).sum::<usize>() * Raster::PIXEL_BYTES;
+        let keeps = last_resort.is_none() && bytes <= KEPT_RASTERS;
         let (per_view, rasters): (Vec<KeyframeObservations>, Vec<Option<Raster>>) = images
             .par_iter()
             .zip(views)
@@ -37,7 +44,7 @@ impl LightField {
                 Some(image) => {
                     let (observed, raster) =
                         observe(context, image, &view.world_from_camera, j as u16, rules, last_resort);
-                    (observed, Some(raster))
+                    (observed, keeps.then_some(raster))
                 }
                 None => Default::default(),
             })

@@ -38,6 +38,9 @@ pub fn camera_positions(mesh: &Mesh, world_from_camera: &Pose) -> Vec<DVec3> {
 }
 
 impl Raster {
+    /// Memory of a pixel.
+    pub const PIXEL_BYTES: usize = size_of::<u32>() + size_of::<f32>();
+
     /// Renders both sides of `triangles` over `points` in the camera's frame, clipped at the plane z = `near`.
     pub fn new(points: &[DVec3], triangles: &[[u32; 3]], camera: &Intrinsics, near: f64) -> Self {
         let pixels = camera.width as usize * camera.height as usize;
