@@ -50,8 +50,9 @@ pub struct Alignment {
     pub after: f64,
 }
 
-/// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`, at which a z-buffer may be known. `moved` is the motion since the
-/// given pose, of which `expected` is the prior. `None` if there are too few edge pixels or the system is singular.
+/// Aligns the image with its prediction from lit `colors`, starting at the pose of `view`, at which a z-buffer may be known. `moved`
+/// is the motion since the given pose, of which `expected` is the prior. `None` if there are too few edge pixels or the system is
+/// singular.
 pub fn align(
     context: &AssociationContext,
     image: &KeyframeImage,

@@ -83,14 +83,14 @@ pub fn associate_within(
         }
         let relaxed = f64::from(round.min(rounds)) / f64::from(rounds);
         let rules = EligibilityRules::new(config, relaxed);
-        let field = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
+        let (field, rasters) = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
         let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
         problem.nearly = are_exposed(&views);
         left_out.take(exposures.hazed, &mut images);
         freed(&mut images, &mut problem, exposures.vignetting);
         let lit = lit_colors(&field, &views); // Eq. (2)
-        if !refiner.step(context, &images, &field, &lit, &mut views, round) {
+        if !refiner.step(context, &images, (&field, &rasters), &lit, &mut views, round) {
             break;
         }
         round += 1;
@@ -100,7 +100,7 @@ pub fn associate_within(
     // Gains that were found at poses which were off may be far from right.
     problem.nearly = false;
     let (field, decisions) = loop {
-        let field = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
+        let (field, _) = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
         let Exposures { gains, decisions, vignetting, hazed } =
             exposure::solve(&field, &problem, &views, config.exposure);
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);

@@ -284,7 +284,7 @@ mod tests {
             }
             offsets.push(observations.len() as u32);
         }
-        (LightField { observations, offsets, rasters: Vec::new() }, mesh)
+        (LightField { observations, offsets }, mesh)
     }
 
     fn solved(

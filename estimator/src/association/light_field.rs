@@ -18,21 +18,19 @@ pub struct LightField {
     pub observations: Vec<Observation>,
     /// Row starts in `observations`: `[vertex + 1]`.
     pub offsets: Vec<u32>,
-    /// Z-buffers of the keyframes that they were gathered from, at the poses which these had; none where they would take much memory, nor
-    /// with observations of last resort, after which no pose is refined.
-    pub rasters: Vec<Option<Raster>>,
 }
 
 impl LightField {
     /// Observations under `rules`, with those of `last_resort` at vertices that have no better ones. Keyframes without an
-    /// image give none.
+    /// image give none. Also the z-buffers of the keyframes; none where they would take much memory, nor with observations of last resort,
+    /// after which no pose is refined.
     pub fn gather(
         context: &AssociationContext,
         images: &[Option<KeyframeImage>],
         views: &[RefinedView],
         rules: &EligibilityRules,
         last_resort: Option<EligibilityRules>,
-    ) -> Self {
+    ) -> (Self, Vec<Option<Raster>>) {
         let pixels = |i: &KeyframeImage| i.camera.width as usize * i.camera.height as usize;
         let bytes = images.iter().flatten().map(pixels).sum::<usize>() * Raster::PIXEL_BYTES;
         let keeps = last_resort.is_none() && bytes <= KEPT_RASTERS;
@@ -57,7 +55,7 @@ impl LightField {
             per_view.iter().flat_map(|v| &v.good).chain(poor)
         };
         let (offsets, observations) = by_key(n, kept().map(|o| (o.vertex, *o)));
-        Self { observations, offsets, rasters }
+        (Self { observations, offsets }, rasters)
     }
 
     /// Number of vertices.

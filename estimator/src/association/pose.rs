@@ -6,6 +6,7 @@ use crate::association::keyframe_image::KeyframeImage;
 use crate::association::light_field::LightField;
 use crate::association::lit_color::LitColors;
 use crate::association::observations::RefinedView;
+use crate::mesh::raster::Raster;
 use crate::numerics::robust::median;
 use firmware_config::tuning::PoseTuning;
 use glam::Vec3;
@@ -58,7 +59,7 @@ impl PoseRefiner {
         &mut self,
         context: &AssociationContext,
         images: &[Option<KeyframeImage>],
-        field: &LightField,
+        (field, rasters): (&LightField, &[Option<Raster>]),
         lit: &LitColors,
         views: &mut [RefinedView],
         round: u32,
@@ -90,7 +91,7 @@ impl PoseRefiner {
                         moved = a.moved;
                     }
                     // Where the keyframe has not moved yet, it is drawn as it was for the observations.
-                    let known = field.rasters.get(j).and_then(Option::as_ref).filter(|_| total.is_none());
+                    let known = rasters[j].as_ref().filter(|_| total.is_none());
                     if let Some(next) = align(context, image, (&colors, known), &view, &moved, &expected, level) {
                         let step_px = libm::hypot(total.as_ref().map_or(0.0, |t| t.step_px), next.step_px);
                         total = Some(Alignment { step_px, ..next });

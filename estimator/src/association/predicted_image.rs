@@ -49,7 +49,7 @@ impl ImageLevel {
             row.iter_mut().enumerate().take(fw / step).for_each(|(x, light)| *light = pixel(x, y));
         });
         let mut color = binomial(&linear, w, h);
-        roots(&mut color);
+        roots(&mut color, w);
         Self { camera, color, linear }
     }
 
@@ -118,14 +118,15 @@ impl PredictedImage {
         });
         // Smoothed once for the lens and the pixel's area, once because the keyframe's image was smoothed.
         let mut color = binomial(&binomial(&linear, w, h), w, h);
-        roots(&mut color);
+        roots(&mut color, w);
         let depth = min_filtered(&raster.depth, w, h, OUTLINE_DEPTH_PX);
         Self { width: w, height: h, camera, color, depth }
     }
 }
 
-fn roots(color: &mut [Vec3]) {
-    color.par_iter_mut().with_min_len(ROWS * ROWS).for_each(|c| *c = c.map(f32::sqrt));
+/// Takes square roots.
+fn roots(color: &mut [Vec3], w: usize) {
+    color.par_chunks_mut(w * ROWS).flatten_iter().for_each(|c| *c = c.map(f32::sqrt));
 }
 
 /// The image beyond the mesh's outline and `outline_px` around it, continued over all pixels.

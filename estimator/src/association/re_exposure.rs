@@ -32,11 +32,8 @@ impl Association {
             let gain = gains[o.keyframe as usize];
             Observation { color: std::array::from_fn(|c| o.color[c] * gain[c]), weight, ..*o }
         };
-        let mut field = LightField {
-            observations: self.observations.iter().map(raw).collect(),
-            offsets: self.offsets.clone(),
-            rasters: Vec::new(),
-        };
+        let mut field =
+            LightField { observations: self.observations.iter().map(raw).collect(), offsets: self.offsets.clone() };
         let choice = if rgb { ExposureChoice::Rgb } else { ExposureChoice::Scalar };
         let problem = ExposureProblem {
             mesh,

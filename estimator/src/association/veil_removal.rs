@@ -59,7 +59,7 @@ impl Association {
             Observation { color: color.to_array(), ..*o }
         };
         let observations = self.observations.iter().zip(&veil.of_observation).map(raw).collect();
-        let field = LightField { observations, offsets: std::mem::take(&mut self.offsets), rasters: Vec::new() };
+        let field = LightField { observations, offsets: std::mem::take(&mut self.offsets) };
         let lit = lit_colors(&field, &self.views);
         (self.lit_color, self.lit_weight) = (lit.color, lit.weight);
         let exposed = |o: &Observation| {

@@ -12,7 +12,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 use recordings::decision::{AtlasFigures, Decision};
 use recordings::result::Texture;
-use recordings::types::Response;
+use recordings::types::{Mesh, Response};
 
 /// Vertices at which the footprint of the pixels is looked up.
 const FOOTPRINT_VERTICES: usize = 4000;
@@ -21,7 +21,7 @@ const MAX_RATIO: f32 = 8.0;
 /// Smallest share of a texel's radiance that is left when gloss is taken off.
 const MIN_MATTE: f32 = 0.05;
 /// A keyframe with less than this share of the weight of the best one that shows all of a triangle is asked for its texels only where the
-/// others are clipped: weights are raised to the fourth power.
+/// others are clipped or show nothing: weights are raised to the fourth power.
 const HARDLY: f32 = 0.5;
 /// Largest albedo that the picture holds: beyond it darker ones would be too coarse in 8 bits.
 const MAX_SCALE: f32 = 3.0;
@@ -114,6 +114,7 @@ fn texels(
 ) -> (Vec<Vec3>, Vec<bool>) {
     let (width, mesh) = (atlas.width as usize, context.mesh);
     let weights_of_views = weights_of_views(context, views);
+    let hardly = hardly(mesh, &weights_of_views);
     let power = context.config.tuning.texture.weight_power as f32;
     let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
     let mut seen = vec![false; atlas.owner.len()];
@@ -129,10 +130,10 @@ fn texels(
             let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
             let mut albedo = mix(colors.albedo, near);
             samples.clear();
-            let at_corners = |of_view: &Vec<f32>| corners.map(|i| of_view[i as usize]);
-            let hardly = HARDLY * weights_of_views.iter().map(|w| least(at_corners(w))).fold(0.0, f32::max);
+            let hardly = hardly[owner as usize];
+            let most = |of_view: &Vec<f32>| corners.iter().map(|&i| of_view[i as usize]).fold(0.0, f32::max);
             let ask = |samples: &mut Vec<ViewSample>, counts: &dyn Fn(f32) -> bool| {
-                let asked = views.iter().zip(&weights_of_views).filter(|(_, w)| counts(most(at_corners(w))));
+                let asked = views.iter().zip(&weights_of_views).filter(|(_, w)| counts(most(w)));
                 samples.extend(asked.filter_map(|(view, _)| view.sample(context, point, normal, atlas.texel)));
             };
             ask(&mut samples, &|weight| weight > hardly);
@@ -163,12 +164,13 @@ fn weights_of_views(context: &AssociationContext, views: &[TextureView]) -> Vec<
     views.iter().map(of_view).collect()
 }
 
-fn most(weights: [f32; 3]) -> f32 {
-    weights.into_iter().fold(0.0, f32::max)
-}
-
-fn least(weights: [f32; 3]) -> f32 {
-    weights.into_iter().fold(f32::MAX, f32::min)
+/// Weight up to which a keyframe hardly counts: `[triangle]`.
+fn hardly(mesh: &Mesh, weights_of_views: &[Vec<f32>]) -> Vec<f32> {
+    let best = |corners: &[u32; 3]| {
+        let of_view = |weights: &Vec<f32>| corners.iter().map(|&i| weights[i as usize]).fold(f32::MAX, f32::min);
+        weights_of_views.iter().map(of_view).fold(0.0, f32::max)
+    };
+    mesh.triangles.par_iter().map(|t| HARDLY * best(t)).collect()
 }
 
 /// Texels that keyframes show without the blur of lens and pixels as wide as `footprint`, within their charts.

@@ -110,8 +110,9 @@ impl Hot for Trace<'_, '_> {
         directions.about(vertex as u32, normal, range.start as usize..range.end as usize, |index, d| {
             let half = usize::from(2 * (index - range.start as usize) >= rays as usize);
             // What blocks a ray is asked only where its hit is kept.
-            let hit = if index < hits.rays { scene.closest_hit(origin, d) } else { None };
-            let blocked = if index < hits.rays { hit.is_some() } else { scene.occluded(origin, d) };
+            let keeps = index < hits.rays;
+            let hit = if keeps { scene.closest_hit(origin, d) } else { None };
+            let blocked = hit.is_some() || (!keeps && scene.occluded(origin, d));
             let side = usize::from(blocked);
             count[side] += 1;
             lanes[half][side].push(d, &mut sums[half][side][..k]);
