@@ -81,7 +81,7 @@ fn main() {
             (graph, segment)
         });
         let (_, diffuse) = timed(|| transfer::unoccluded(&mesh, sh::MAX_BANDS));
-        let tracer = Tracer { mesh: &mesh, scene: &scene, bands: sh::MAX_BANDS, seed: config.seed };
+        let tracer = Tracer { mesh: &mesh, graph: &graph, scene: &scene, bands: sh::MAX_BANDS, seed: config.seed };
         let (traced, shade) = timed(|| tracer.trace(RAYS, &|_| ()));
         let (_, bounces) = timed(|| transfer::bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0));
         let gi = shade + bounces;

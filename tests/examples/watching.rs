@@ -9,6 +9,7 @@
 //! the order to start, which the command may take up to 50 ms to notice. Light: irradiance (with shadows, bounces left out) at the vertices
 //! of the true mesh that see half of their hemisphere, relative error after one factor a channel.
 
+use estimator::mesh::graph::Graph;
 use estimator::rays::RayScene;
 use estimator::transfer::Tracer;
 use glam::DQuat;
@@ -330,7 +331,8 @@ impl Truth {
         let mut mesh = read_ply(&folder.join("mesh.ply"))?;
         mesh.positions.iter_mut().chain(&mut mesh.normals).for_each(|v| *v = back * *v);
         let scene = RayScene::new(&mesh);
-        let traced = Tracer { mesh: &mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
+        let traced =
+            Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
         let there = tabletop::tabletop(CELL_M).environment;
         let light = Environment::new(128, |d| there.radiance(turn.as_quat() * d)).spherical_harmonics(BANDS - 1);
         // What is nearly hidden receives next to nothing, of which no share is an error that anybody sees.

@@ -2,6 +2,7 @@
 
 use estimator::EstimateError;
 use estimator::Options;
+use estimator::mesh::graph::Graph;
 use estimator::rays::RayScene;
 use estimator::transfer::{self, Tracer, Transfer};
 use firmware_config::EstimatorConfig;
@@ -96,7 +97,8 @@ fn scale_does_not_matter() {
 #[test]
 fn closed_sphere_is_the_geometric_series() {
     let mesh = globe(24, 1.0, -1.0);
-    let mut traced = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 1, seed: 1 }.trace(64, &|_| ());
+    let mut traced = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 1, seed: 1 }
+        .trace(64, &|_| ());
     assert!(traced.blocked.iter().all(|b| *b == 1.0), "no ray leaves a closed sphere");
     // Emission in the place of light from outside.
     Arc::make_mut(&mut traced.direct).fill(1.0);

@@ -5,6 +5,7 @@
 
 use estimator::factorisation::paper_solver::least_squares;
 use estimator::factorisation::{Observed, Solution, directions, robust_solver};
+use estimator::mesh::graph::Graph;
 use estimator::numerics::random::{CosineDirections, hash, unit};
 use estimator::numerics::sh;
 use estimator::rays::RayScene;
@@ -242,7 +243,7 @@ fn transfer_in_single_precision_is_that_in_double() {
         triangles: (0..whole.triangles.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect(),
     };
     let scene = RayScene::new(&mesh);
-    let traced = Tracer { mesh: &mesh, scene: &scene, bands: 9, seed: 1 }.trace(64, &|_| ());
+    let traced = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &scene, bands: 9, seed: 1 }.trace(64, &|_| ());
     let directions = CosineDirections::new(64, 1);
     let mut checked = 0;
     for i in (0..mesh.positions.len()).step_by(7) {
@@ -305,7 +306,8 @@ fn solving_in_single_precision_is_that_in_double() {
 #[test]
 fn bounces_are_accelerated() {
     let mesh = globe(12, 1.0, -1.0);
-    let mut traced = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 1, seed: 1 }.trace(64, &|_| ());
+    let mut traced = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 1, seed: 1 }
+        .trace(64, &|_| ());
     Arc::make_mut(&mut traced.direct).fill(1.0);
     let white = vec![Vec3::splat(0.999); mesh.positions.len()];
     let fast = transfer::bounce(&traced, &white, 0);

@@ -44,8 +44,8 @@ fn transfer_error(truth: &Truth, traced: Traced) -> [f64; 3] {
     [(off[0] / size[0]).sqrt(), (off[1] / size[1]).sqrt(), stated]
 }
 
-fn tracer<'a>(mesh: &'a Mesh, scene: &'a RayScene) -> Tracer<'a> {
-    Tracer { mesh, scene, bands: BANDS, seed: 1 }
+fn tracer<'a>(mesh: &'a Mesh, graph: &'a Graph, scene: &'a RayScene) -> Tracer<'a> {
+    Tracer { mesh, graph, scene, bands: BANDS, seed: 1 }
 }
 
 #[test]
@@ -66,7 +66,8 @@ fn transfer_is_that_of_the_reference() {
             }
         }
         assert!((off / size).sqrt() < 1e-3, "{name}: diffuse {}", (off / size).sqrt());
-        let [shade, gi, stated] = transfer_error(&truth, tracer(&truth.mesh, &scene).trace(128, &|_| ()));
+        let [shade, gi, stated] =
+            transfer_error(&truth, tracer(&truth.mesh, &Graph::of(&truth.mesh), &scene).trace(128, &|_| ()));
         println!("{name}: 128 rays: shade {shade:.4}, gi {gi:.4}, stated {stated:.4}");
         assert!(shade < 0.05 && gi < 0.07, "{name}: shade {shade}, gi {gi}");
         assert!(shade / stated < 1.5 && stated / shade < 1.5, "{name}: the error is {shade}, stated as {stated}");
@@ -77,7 +78,8 @@ fn many_rays(name: &str) {
     let shared = shared();
     let truth = Truth::read(&shared, name);
     let scene = RayScene::new(&truth.mesh);
-    let [shade, gi, stated] = transfer_error(&truth, tracer(&truth.mesh, &scene).trace(4096, &|_| ()));
+    let [shade, gi, stated] =
+        transfer_error(&truth, tracer(&truth.mesh, &Graph::of(&truth.mesh), &scene).trace(4096, &|_| ()));
     println!("{name}: 4096 rays: shade {shade:.5}, gi {gi:.5}, stated {stated:.5}");
     assert!(shade < 0.006 && gi < 0.01, "{name}: shade {shade}, gi {gi}");
 }
@@ -98,8 +100,11 @@ fn many_rays_converge_on_larger_meshes() {
 /// True lit colours with 3 % noise, true materials as segments.
 fn solve(truth: &Truth, gi: bool, diffuse: bool, solver: SolverChoice) -> Factorised {
     let scene = RayScene::new(&truth.mesh);
-    let traced =
-        if diffuse { transfer::unoccluded(&truth.mesh, BANDS) } else { tracer(&truth.mesh, &scene).trace(64, &|_| ()) };
+    let traced = if diffuse {
+        transfer::unoccluded(&truth.mesh, BANDS)
+    } else {
+        tracer(&truth.mesh, &Graph::of(&truth.mesh), &scene).trace(64, &|_| ())
+    };
     // A sum of four uniform numbers, scaled to a standard deviation of 3 %.
     let noise = |i: usize, c: usize| {
         let draw = |k| unit(hash(i as u32 * 3 + c as u32, k));

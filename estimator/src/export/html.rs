@@ -4,6 +4,7 @@
 use crate::export::file::write_whole;
 use crate::export::html_lamps::NearLight;
 use crate::export::picture::encode_rgb;
+use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::texture::seams::{Unwrapped, jpeg_up_to_one};
 use crate::transfer::{Tracer, Transfer, bounce};
@@ -55,7 +56,9 @@ pub fn write(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)], 
 /// A keyframe's picture cannot be read.
 pub fn page(result: &Estimate, scan: Option<&Scan>, timings: &[(String, f64)]) -> Result<String> {
     let scene = RayScene::new(&result.mesh);
-    let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
+    let graph = Graph::of(&result.mesh);
+    let traced =
+        Tracer { mesh: &result.mesh, graph: &graph, scene: &scene, bands: BANDS, seed: 1 }.trace(RAYS, &|_| {});
     let near = NearLight::new(result, &scene, &traced);
     let bounced = Some(bounce(&traced, &result.albedo, 0));
     let transfer = Transfer { traced: traced.into(), bounced };

@@ -103,6 +103,7 @@ fn direct(sources: &LocalSources, mesh: &Mesh, scene: &RayScene) -> Vec<Vec3> {
 mod tests {
     use super::*;
     use crate::export::testing::tiny;
+    use crate::mesh::graph::Graph;
     use crate::transfer::Tracer;
 
     #[test]
@@ -112,7 +113,8 @@ mod tests {
         let lamp = Lamp { center: [-0.2, -0.2, -0.5], radius_m: 0.05, radiance: [8.0, 4.0, 2.0] };
         result.local_light.lamps = vec![lamp];
         let scene = RayScene::new(&result.mesh);
-        let traced = Tracer { mesh: &result.mesh, scene: &scene, bands: 1, seed: 1 }.trace(16, &|_| {});
+        let traced = Tracer { mesh: &result.mesh, graph: &Graph::of(&result.mesh), scene: &scene, bands: 1, seed: 1 }
+            .trace(16, &|_| {});
         let near = NearLight::new(&result, &scene, &traced);
         let told = |v: usize| (f32::from(near.transfer.bytes[v][0]) / 255.0).powi(2) * near.transfer.scale[0];
         // (r / d)², but for the offset of a ray's origin, a share of this large triangle's edge.

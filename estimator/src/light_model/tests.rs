@@ -82,7 +82,9 @@ fn chosen_with(
 ) -> (Chosen, Vec<u32>) {
     let (mesh, paint) = desk();
     let scene = RayScene::new(&mesh);
-    let traced = Arc::new(Tracer { mesh: &mesh, scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()));
+    let traced = Arc::new(
+        Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &scene, bands: 5, seed: 1 }.trace(128, &|_| ()),
+    );
     let direct: Vec<Vec3> = (0..mesh.positions.len()).map(|i| direct(&mesh, &scene, &traced, i)).collect();
     let mut lit_color = lit(&traced, &paint, &direct);
     let clipped: Vec<bool> = lit_color.iter().map(|f| f.max_element() > clipped_at).collect();

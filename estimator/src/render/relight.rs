@@ -1,6 +1,7 @@
 //! The scan under other light: primary hits and transfer are kept, a new distant light costs a product. Lamps and emitting
 //! surfaces keep one state, with shadows and bounces.
 
+use crate::mesh::graph::Graph;
 use crate::numerics::random::hash;
 use crate::numerics::sh;
 use crate::render::before_after_scene::{Body, Part, RayTarget, Side};
@@ -116,7 +117,8 @@ impl Relight {
             scanned.resize(object.mesh.positions.len(), Vec3::ZERO);
         }
         let body = Body::new(object, Vec::new());
-        let tracer = Tracer { mesh: &body.object.mesh, scene: &body.bvh, bands: BANDS, seed: config.seed };
+        let (mesh, scene) = (&body.object.mesh, &body.bvh);
+        let tracer = Tracer { mesh, graph: &Graph::of(mesh), scene, bands: BANDS, seed: config.seed };
         let traced = tracer.trace(config.relight_rays, report);
         let brdfs = body.object.vertex_brdfs();
         let albedo: Vec<Vec3> = brdfs.iter().map(|l| l.diffuse).collect();

@@ -25,7 +25,7 @@ pub fn trace(prepared: &Prepared, run: &mut Run) -> Arc<Traced> {
 
 fn tracer<'a>(prepared: &'a Prepared, run: &Run) -> Tracer<'a> {
     let (bands, seed) = (run.plan.workload().bands, run.config.seed);
-    Tracer { mesh: &prepared.mesh, scene: &prepared.scene, bands, seed }
+    Tracer { mesh: &prepared.mesh, graph: &prepared.graph, scene: &prepared.scene, bands, seed }
 }
 
 /// Traces up to `rays` rays per vertex, beyond those of `have`, or fewer if the time does not suffice; `None` if not even those

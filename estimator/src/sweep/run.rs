@@ -63,8 +63,8 @@ pub fn sweep(
         if run.is_over() {
             break;
         }
-        let Prepared { mesh, scene, .. } = &shared.prepared;
-        let tracer = Tracer { mesh, scene, bands: MAX_BANDS, seed: config.seed };
+        let Prepared { mesh, graph, scene, .. } = &shared.prepared;
+        let tracer = Tracer { mesh, graph, scene, bands: MAX_BANDS, seed: config.seed };
         let traced = run.timed(|run| {
             let report = |share| run.progress.stage("transfer", share);
             Arc::new(tracer.trace(rays, &report))

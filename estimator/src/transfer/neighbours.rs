@@ -20,8 +20,11 @@ const DIFFERENCE: f32 = 1.25;
 /// was, over all vertices.
 pub(super) fn share(graph: &Graph, normals: &[Vec3], bands: usize, direct: &mut [f32], error: &[f32]) -> f64 {
     let k = bands * bands;
-    let mut blocked = direct.to_vec();
-    blocked.par_chunks_mut(k).zip(normals).for_each(|(row, n)| add_lobe(row, *n, -1.0));
+    let mut blocked = vec![0.0; direct.len()];
+    blocked.par_chunks_mut(k).zip(direct.par_chunks(k)).zip(normals).for_each(|((row, all), n)| {
+        row.copy_from_slice(all);
+        add_lobe(row, *n, -1.0);
+    });
     // The errors of single vertices are themselves uncertain.
     let around = |i: usize| graph.neighbours(i).iter().map(|&j| j as usize).chain([i]);
     let variance = |i: usize| around(i).map(|j| error[j] * error[j]).sum::<f32>() / around(i).count() as f32;

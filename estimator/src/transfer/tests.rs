@@ -1,5 +1,6 @@
 //! Tests of tracing and bounces on two planes that meet.
 
+use crate::mesh::graph::Graph;
 use crate::rays::RayScene;
 use crate::transfer::bounces::{bounce, bounce_light, bounce_on, bounce_scaled};
 use crate::transfer::irradiance::Transfer;
@@ -35,7 +36,7 @@ fn corner(n: u32) -> Mesh {
 #[test]
 fn scaled_bounces_come_near_the_converged_series() {
     let mesh = corner(24);
-    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let tracer = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
     let traced = Arc::new(tracer.trace(128, &|_| ()));
     let albedo: Vec<Vec3> = mesh.normals.iter().map(|n| Vec3::new(0.9, 0.6, 0.3) * n.abs().x.max(0.7)).collect();
     let light = [[0.8; 3], [0.1; 3], [0.5; 3], [-0.2; 3], [0.0; 3], [0.2; 3], [-0.1; 3], [0.1; 3], [0.3; 3]];
@@ -57,7 +58,7 @@ fn scaled_bounces_come_near_the_converged_series() {
 #[test]
 fn the_sun_is_a_coefficient_more_and_bounces_as_other_light_does() {
     let mesh = corner(24);
-    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
+    let tracer = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
     let lamp = Lamp { center: [1e4, 0.0, 1e4], radius_m: 10.0, radiance: [1.0; 3] };
     let direct: Vec<f32> = mesh.normals.iter().map(|n| 0.1 * n.dot(Vec3::new(0.6, 0.0, 0.8))).collect();
     let traced = tracer.trace(128, &|_| ()).with_sun(Sun { lamp, direct: direct.clone() });
@@ -81,7 +82,7 @@ fn the_sun_is_a_coefficient_more_and_bounces_as_other_light_does() {
 #[test]
 fn light_from_anywhere_bounces_as_spherical_harmonics_do() {
     let mesh = corner(24);
-    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
+    let tracer = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 2, seed: 1 };
     let traced = Arc::new(tracer.trace(128, &|_| ()));
     let albedo = vec![Vec3::new(0.9, 0.6, 0.3); mesh.positions.len()];
     let all = Transfer { traced: Arc::clone(&traced), bounced: Some(bounce(&traced, &albedo, 0)) };
@@ -102,9 +103,9 @@ fn kept_hits_stay_below_their_maximum_and_bounces_do_not_change() {
     assert_eq!(kept_rays(2_000_000, 65_536, MAX_HITS), 16);
     assert_eq!(kept_rays(usize::MAX, 128, MAX_HITS), 1);
     let mesh = corner(24);
-    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let tracer = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
     let bounced = |kept| {
-        let traced = tracer.trace_range(0..512, kept, &|_| true).expect("traced");
+        let traced = tracer.trace_range(0..512, kept, Vec::new, &|_| true).expect("traced");
         assert!(traced.corners.len() <= kept as usize * mesh.positions.len());
         let blocked = traced.mean_blocked();
         (bounce(&traced, &vec![Vec3::splat(0.5); mesh.positions.len()], 0).share, blocked)
@@ -117,7 +118,7 @@ fn kept_hits_stay_below_their_maximum_and_bounces_do_not_change() {
 #[test]
 fn more_rays_continue_the_first() {
     let mesh = corner(12);
-    let tracer = Tracer { mesh: &mesh, scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
+    let tracer = Tracer { mesh: &mesh, graph: &Graph::of(&mesh), scene: &RayScene::new(&mesh), bands: 5, seed: 1 };
     let traced = |rays, have| tracer.trace_while(rays, have, &|_| true).expect("traced");
     let (all, first) = (traced(512, None), traced(128, None));
     let more = traced(512, Some(&first));

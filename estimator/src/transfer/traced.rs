@@ -91,7 +91,7 @@ impl Traced {
     pub fn relative_errors(&self) -> Vec<f32> {
         let k = self.bands * self.bands;
         self.direct
-            .chunks(k)
+            .par_chunks(k)
             .zip(&self.error)
             .map(|(row, error)| {
                 let size = row.iter().take(INDIRECT).map(|t| t * t).sum::<f32>().sqrt();
@@ -122,7 +122,7 @@ impl Traced {
     pub(super) fn join(&self, more: Self, rays: u32) -> Self {
         let share = self.rays as f32 / rays as f32;
         let mean = |old: &[f32], new: &[f32]| -> Vec<f32> {
-            old.iter().zip(new).map(|(a, b)| share * a + (1.0 - share) * b).collect()
+            old.par_iter().zip(new).map(|(a, b)| share * a + (1.0 - share) * b).collect()
         };
         // The error of `more` was estimated from its own halves; it falls by ERROR_OF_TWICE for each doubling.
         let shrunk = libm::pow(f64::from(1.0 - share), -libm::log2(ERROR_OF_TWICE)) as f32;

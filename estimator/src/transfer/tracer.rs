@@ -22,6 +22,8 @@ pub(super) const MAX_HITS: u64 = 1 << 25;
 pub struct Tracer<'a> {
     /// Mesh with unit normals.
     pub mesh: &'a Mesh,
+    /// Its edges.
+    pub graph: &'a Graph,
     /// The same for rays.
     pub scene: &'a RayScene,
     /// SH bands of the transfer.
@@ -52,8 +54,14 @@ impl Tracer<'_> {
     ) -> Option<Traced> {
         match have.filter(|h| h.bands == self.bands && h.rays > 0 && h.rays < rays) {
             // Light that bounces is smoother than what is blocked: the hits that there are suffice.
-            Some(have) => Some(have.join(self.trace_range(have.rays..rays, 0, go_on)?, rays)),
-            None => self.trace_range(0..rays, kept_rays(self.mesh.positions.len(), rays, MAX_HITS), go_on),
+            Some(have) => {
+                let weights = || have.vertex_weight.clone();
+                Some(have.join(self.trace_range(have.rays..rays, 0, weights, go_on)?, rays))
+            }
+            None => {
+                let hit_rays = kept_rays(self.mesh.positions.len(), rays, MAX_HITS);
+                self.trace_range(0..rays, hit_rays, || vertex_weights(self.mesh, self.graph), go_on)
+            }
         }
     }
 
@@ -75,14 +83,15 @@ impl Tracer<'_> {
         blocked.iter().sum::<f64>() / vertices.len().max(1) as f64
     }
 
-    /// Traces a range of the rays of every vertex and keeps the hits of the first `hit_rays` of all.
+    /// Traces a range of the rays of every vertex and keeps the hits of the first `hit_rays` of all. `vertex_weight` is asked beside it.
     pub(super) fn trace_range(
         &self,
         range: Range<u32>,
         hit_rays: u32,
+        vertex_weight: impl FnOnce() -> Vec<f32> + Send,
         go_on: &(dyn Fn(f64) -> bool + Sync),
     ) -> Option<Traced> {
-        let Self { mesh, scene, bands, seed } = *self;
+        let Self { mesh, graph, scene, bands, seed } = *self;
         let k = bands * bands;
         let count = mesh.positions.len();
         let directions = CosineDirections::new(range.end, seed);
@@ -91,7 +100,7 @@ impl Tracer<'_> {
         let mut error = vec![0.0f32; count];
         let done = AtomicUsize::new(0);
         let cancelled = AtomicBool::new(false);
-        let hits: Vec<(Vec<u32>, Vec<u32>)> = direct
+        let blocks = direct
             .par_chunks_mut(BLOCK * k)
             .zip(blocked.par_chunks_mut(BLOCK))
             .zip(error.par_chunks_mut(BLOCK))
@@ -112,8 +121,8 @@ impl Tracer<'_> {
                     cancelled.store(true, Ordering::Relaxed);
                 }
                 (ends, corners)
-            })
-            .collect();
+            });
+        let (hits, vertex_weight): (Vec<(Vec<u32>, Vec<u32>)>, _) = rayon::join(|| blocks.collect(), vertex_weight);
         if cancelled.into_inner() {
             return None;
         }
@@ -125,8 +134,7 @@ impl Tracer<'_> {
             offsets.extend(ends.iter().map(|e| start + e));
             corners.extend(block);
         }
-        let graph = Graph::of(mesh);
-        let shared = share(&graph, &mesh.normals, bands, &mut direct, &error);
+        let shared = share(graph, &mesh.normals, bands, &mut direct, &error);
         let rays = range.end - range.start;
         Some(Traced {
             bands,
@@ -134,7 +142,7 @@ impl Tracer<'_> {
             blocked,
             error,
             shared,
-            vertex_weight: vertex_weights(mesh, &graph),
+            vertex_weight,
             rays,
             offsets: offsets.into(),
             corners: corners.into(),
