@@ -51,7 +51,6 @@ mod tests {
             lit: [0.5; 3],
             irradiance: [1.0; 3],
             mirror: [[mirror[k]; 3]; LOBES.len()],
-            change: [[0.0; 3]; LOBES.len()],
             weight: 1.0,
             keyframe: k,
         };

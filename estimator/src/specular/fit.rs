@@ -5,7 +5,7 @@ use crate::numerics::robust::{median, robust_sigma};
 use crate::specular::agreement::borne_out;
 use crate::specular::gloss::{Gloss, LOBES};
 use crate::specular::mirror_rays::MirrorRays;
-use crate::specular::observations::{MirrorObservation, MirrorObservations};
+use crate::specular::observations::{MirrorObservation, MirrorObservations, mirror_medians};
 use crate::specular::reflection::Reflection;
 use firmware_config::tuning::SpecularTuning;
 use nalgebra::{Matrix4, Vector4};
@@ -15,6 +15,9 @@ use rayon::prelude::*;
 const ROUNDS: usize = 5;
 /// Share of 1 that the determinant of Eq. (13) must reach; below, f and f_s are collinear and w_s is 0.
 const NEARLY_COLLINEAR: f64 = 1e-3;
+
+/// An observation, and the medians of f_s over the views of its vertex for every lobe.
+type Centred = (MirrorObservation, [[f64; 3]; LOBES.len()]);
 
 /// One channel of one observation, all colours divided by its error.
 #[derive(Debug, Clone, Copy)]
@@ -57,8 +60,12 @@ pub(super) fn fit(
             let total: usize = vertices.iter().map(|&i| views(i)).sum();
             let stride = total.div_ceil(tuning.max_observations as usize).max(1);
             let chosen: Vec<usize> = vertices.into_iter().step_by(stride).collect();
-            let found: Vec<MirrorObservation> =
-                chosen.par_iter().flat_map_iter(|&i| observations.of(i, false)).collect();
+            let with_medians = |&i: &usize| {
+                let views = observations.of(i, false);
+                let medians = mirror_medians(&views);
+                views.into_iter().map(move |o| (o, medians))
+            };
+            let found: Vec<Centred> = chosen.par_iter().flat_map_iter(with_medians).collect();
             let fitted = SegmentFit::new(&found, tuning).map_or(Gloss::NONE, |fit| fit.gloss());
             if !fitted.significant {
                 return fitted;
@@ -80,11 +87,11 @@ struct SegmentFit<'a> {
 
 impl<'a> SegmentFit<'a> {
     /// `None` for a segment without light or observations.
-    fn new(observations: &[MirrorObservation], tuning: &'a SpecularTuning) -> Option<Self> {
+    fn new(observations: &[Centred], tuning: &'a SpecularTuning) -> Option<Self> {
         // Errors of a picture grow with its brightness; all channels of a segment have equal weight.
-        let size = median(observations.iter().map(|o| (o.lit[0] + o.lit[1] + o.lit[2]) / 3.0));
+        let size = median(observations.iter().map(|(o, _)| (o.lit[0] + o.lit[1] + o.lit[2]) / 3.0));
         let size = size.filter(|s| *s > 0.0)?;
-        let sample = |o: &MirrorObservation, c: usize| {
+        let sample = |(o, medians): &Centred, c: usize| {
             let scale = libm::sqrt(o.weight.max(1e-3)) / (o.lit[c] + tuning.dark_floor * size);
             Sample {
                 seen: o.seen[c] * scale,
@@ -93,7 +100,7 @@ impl<'a> SegmentFit<'a> {
                 channel: c,
                 keyframe: o.keyframe,
                 mirror: o.mirror.map(|m| m[c] * scale),
-                change: o.change.map(|m| m[c] * scale),
+                change: std::array::from_fn(|lobe| (o.mirror[lobe][c] - medians[lobe][c]) * scale),
             }
         };
         let samples: Vec<Sample> = observations.iter().flat_map(|o| [0, 1, 2].map(|c| sample(o, c))).collect();
@@ -253,17 +260,17 @@ mod tests {
         const MIRROR: [f64; 4] = [0.2, 0.1, -0.1, -0.2];
         let of = |vertex: u32, k: usize| {
             let noise = 0.005 * (f64::from(vertex * 7 % 11) - 5.0) / 5.0;
-            MirrorObservation {
+            let observation = MirrorObservation {
                 seen: [0.5 + seen[k] + noise; 3],
                 lit: [0.5; 3],
                 irradiance: [1.0; 3],
                 mirror: [[1.0 + MIRROR[k]; 3]; LOBES.len()],
-                change: [[MIRROR[k]; 3]; LOBES.len()],
                 weight: 1.0,
                 keyframe: k,
-            }
+            };
+            (observation, [[1.0; 3]; LOBES.len()])
         };
-        let observations: Vec<MirrorObservation> = (0..3000).flat_map(|i| (0..4).map(move |k| of(i, k))).collect();
+        let observations: Vec<Centred> = (0..3000).flat_map(|i| (0..4).map(move |k| of(i, k))).collect();
         SegmentFit::new(&observations, &SpecularTuning::default()).unwrap().gloss()
     }
 

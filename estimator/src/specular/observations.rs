@@ -1,7 +1,6 @@
 //! Observations of a vertex beside the reflected light that is predicted for them.
 
 use crate::association::Association;
-use crate::numerics::robust::median;
 use crate::numerics::sh;
 use crate::specular::gloss::{Gloss, LOBES};
 use crate::specular::mirror_rays::{MirrorRay, MirrorRays};
@@ -17,8 +16,6 @@ pub(super) struct MirrorObservation {
     pub irradiance: [f64; 3],
     /// f_s,ij for every lobe.
     pub mirror: [[f64; 3]; LOBES.len()],
-    /// The same minus its median over the views of the vertex.
-    pub change: [[f64; 3]; LOBES.len()],
     /// Weight of the observation.
     pub weight: f64,
     /// Index of the keyframe.
@@ -61,7 +58,7 @@ impl<'a> MirrorObservations<'a> {
         let lit = association.lit_color[vertex].to_array().map(f64::from);
         let irradiance = reflection.irradiance[vertex].to_array().map(f64::from);
         let range = association.offsets[vertex] as usize..association.offsets[vertex + 1] as usize;
-        let mut found: Vec<MirrorObservation> = association.observations[range]
+        let found: Vec<MirrorObservation> = association.observations[range]
             .iter()
             .zip(rays.of(association, vertex))
             .filter_map(|(o, ray)| {
@@ -76,18 +73,21 @@ impl<'a> MirrorObservations<'a> {
                 };
                 let (seen, weight) = (o.color.map(f64::from), f64::from(o.weight));
                 let keyframe = usize::from(o.keyframe);
-                Some(MirrorObservation { seen, lit, irradiance, mirror, change: mirror, weight, keyframe })
+                Some(MirrorObservation { seen, lit, irradiance, mirror, weight, keyframe })
             })
             .collect();
-        if found.len() < self.min_views {
-            return Vec::new();
-        }
-        for b in 0..LOBES.len() {
-            for c in 0..3 {
-                let middle = median(found.iter().map(|p| p.mirror[b][c])).unwrap_or(0.0);
-                found.iter_mut().for_each(|p| p.change[b][c] -= middle);
-            }
-        }
-        found
+        if found.len() < self.min_views { Vec::new() } else { found }
     }
+}
+
+/// Medians of f_s over the views of one vertex, for every lobe; 0 without views.
+pub(super) fn mirror_medians(views: &[MirrorObservation]) -> [[f64; 3]; LOBES.len()] {
+    let mut of_views = Vec::with_capacity(views.len());
+    let mut middle = |lobe: usize, channel: usize| {
+        of_views.clear();
+        of_views.extend(views.iter().map(|o| o.mirror[lobe][channel]));
+        let at = of_views.len() / 2;
+        if of_views.is_empty() { 0.0 } else { *of_views.select_nth_unstable_by(at, f64::total_cmp).1 }
+    };
+    std::array::from_fn(|lobe| std::array::from_fn(|channel| middle(lobe, channel)))
 }
