@@ -22,8 +22,10 @@ const MARGIN: f32 = 0.6;
 /// Directions of lamps at infinity, and how many scene sizes away they are searched.
 const DIRECTIONS: usize = 800;
 const FAR: f32 = 20.0;
-/// Samples that the places of the lattice are compared by.
+/// Samples that the places of the lattice are compared by: all of them by a few, and the best share of those by more.
+const SKETCH_SAMPLES: usize = 175;
 const LATTICE_SAMPLES: usize = 700;
+const LIKELY: f64 = 0.25;
 /// Best places that are solved in full, no two nearer than this many lattice steps.
 const SOLVED: usize = 6;
 const APART: f32 = 1.6;
@@ -112,11 +114,10 @@ impl<'a> Search<'a> {
 
     /// The best of these places, `step` apart, with their costs; so many of them are solved, and so many of those remain.
     fn best_of(&self, places: &[Vec3], step: Vec3, solved: usize, remain: usize) -> Vec<(f64, Vec3)> {
-        let gains = self.gains(places);
-        let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
-        order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
+        let sketched = by_gain(places, &self.gains(places, SKETCH_SAMPLES));
+        let likely = &sketched[..(LIKELY * sketched.len() as f64).ceil() as usize];
         let mut apart: Vec<Vec3> = Vec::new();
-        for place in order.into_iter().map(|i| places[i]) {
+        for place in by_gain(likely, &self.gains(likely, LATTICE_SAMPLES)) {
             if apart.iter().all(|p| ((place - *p) / step).length() > APART) {
                 apart.push(place);
             }
@@ -135,11 +136,11 @@ impl<'a> Search<'a> {
         tried
     }
 
-    /// How much each place lowers the quadratic form, the rows divided by the light of the model without it.
-    fn gains(&self, places: &[Vec3]) -> Vec<f64> {
+    /// How much each place lowers the quadratic form over about so many samples, the rows divided by the light of the model without it.
+    fn gains(&self, places: &[Vec3], most: usize) -> Vec<f64> {
         let Self { values, without, .. } = self;
         let Rows { samples, columns, shared, .. } = self.columns.rows(&self.samples);
-        let few: Vec<usize> = (0..samples.len()).step_by(samples.len().div_ceil(LATTICE_SAMPLES).max(1)).collect();
+        let few: Vec<usize> = (0..samples.len()).step_by(samples.len().div_ceil(most).max(1)).collect();
         let total: f64 = few.iter().map(|n| samples.weight[*n]).sum();
         let explained = |n: usize| values.color[n] / without.albedo[samples.segment[n] as usize].max(1e-30);
         let mean = few.iter().map(|n| samples.weight[*n] * explained(*n)).sum::<f64>() / total.max(1e-30);
@@ -274,4 +275,11 @@ impl<'a> Search<'a> {
         simplex.sort_by(|a, b| a.0.total_cmp(&b.0));
         simplex[0].1
     }
+}
+
+/// The places that gain anything, the best first.
+fn by_gain(places: &[Vec3], gains: &[f64]) -> Vec<Vec3> {
+    let mut order: Vec<usize> = (0..places.len()).filter(|i| gains[*i] > 0.0).collect();
+    order.sort_by(|a, b| gains[*b].total_cmp(&gains[*a]).then(a.cmp(b)));
+    order.into_iter().map(|i| places[i]).collect()
 }
