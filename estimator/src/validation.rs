@@ -11,7 +11,7 @@ use crate::mesh::raster::{MISS, Raster, camera_positions};
 use crate::numerics::robust::median;
 use crate::specular::{Gloss, Reflection};
 use crate::texture::detail::Detail;
-use crate::texture::registration::{Expected, register};
+use crate::texture::registration::{Expected, register, windows};
 use crate::texture::sharpness::OctaveEnergy;
 use firmware_config::{EstimatorConfig, Switch};
 use glam::{DVec2, DVec3, Vec3};
@@ -58,6 +58,9 @@ pub struct Compared {
     pub texture: Option<TexturePrediction>,
 }
 
+/// Of the pixels that are compared, every so manieth along each side tells the exposure before the last one.
+const SPARSE: usize = 3;
+
 /// One pixel.
 struct Pixel {
     /// Observed, 8 bits.
@@ -84,6 +87,8 @@ pub fn compare(
     let stride = config.tuning.validation.pixel_stride as usize;
     let veil = Veil::of(&picture, &frame.camera, &context.table, context.clipped);
     let image = ValidationImage { picture: &picture, lens: &frame.camera, veil: &veil, stride };
+    // Exposures on the way to the pose.
+    let sparse = SPARSE * stride;
     let from = |camera: MovingCamera| Rendered::new(context, &image, camera);
     let still = |pose: &Pose| from(MovingCamera::still(pose, &picture.camera));
     let mut rendered = still(&tracked);
@@ -98,15 +103,15 @@ pub fn compare(
             let levels: &[f64] = if round == 0 { &[0.25, 0.5, 1.0] } else { &[1.0] };
             view.world_from_camera = pose::located(context, &picture, model.lit_color, model.lit_weight, &view, levels);
             rendered = still(&view.world_from_camera);
-            found = rendered.pixels(model, lit);
-            view.gain = gains(&found);
+            view.gain = gains(&rendered.pixels_every(sparse, model, lit));
         }
-        for _ in 0..config.tuning.registration.rounds {
+        for round in 0..config.tuning.registration.rounds {
             let expected = rendered.expected(model, view.gain);
-            rendered = from(register(context, &picture, rendered.camera, &expected).camera);
-            found = rendered.pixels(model, lit);
-            view.gain = gains(&found);
+            rendered = from(register(context, &picture, rendered.camera, &expected, windows(round)).camera);
+            view.gain = gains(&rendered.pixels_every(sparse, model, lit));
         }
+        found = rendered.pixels(model, lit);
+        view.gain = gains(&found);
         // Where a picture shows little but an outline, its pose may be told less by it than by tracking.
         if psnr(&found) < tracked_psnr_db[0] {
             rendered = still(&tracked);
@@ -218,7 +223,17 @@ impl<'a> Rendered<'a> {
 
     /// Observed colours of the pixels that are compared, and `predicted` ones.
     fn pixels(&self, model: &Model, predicted: fn(&Model, &SurfacePoint) -> Option<[f64; 3]>) -> Vec<Pixel> {
-        let &ValidationImage { picture, veil, stride, .. } = self.image;
+        self.pixels_every(self.image.stride, model, predicted)
+    }
+
+    /// The same of every `stride`-th pixel along each side.
+    fn pixels_every(
+        &self,
+        stride: usize,
+        model: &Model,
+        predicted: fn(&Model, &SurfacePoint) -> Option<[f64; 3]>,
+    ) -> Vec<Pixel> {
+        let &ValidationImage { picture, veil, .. } = self.image;
         let (width, height) = (picture.camera.width as usize, picture.camera.height as usize);
         let rows: Vec<usize> = (0..height).step_by(stride).collect();
         let pixel = |(x, y): (usize, usize)| {

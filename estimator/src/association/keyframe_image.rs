@@ -62,32 +62,61 @@ impl KeyframeImage {
         if !(left > -1.0 && top > -1.0 && right < w && bottom < h) {
             return None;
         }
-        let mut sum = [0.0_f32; 3];
-        let (mut total, mut squares, mut brightest) = (0.0_f32, 0.0_f32, 0_u8);
-        let (first, end) = (least_above(left), right as u32 + 1);
-        for y in least_above(top)..=bottom as u32 {
-            let wy = (radius - (f64::from(y) - v).abs()).max(0.0);
-            let row = &self.data[3 * y as usize * self.camera.width as usize..];
-            let (row, _) = row[3 * first as usize..3 * end as usize].as_chunks::<3>();
-            for (x, value) in (first..).zip(row) {
-                let weight = (wy * (radius - (f64::from(x) - u).abs()).max(0.0)) as f32;
-                if weight <= 0.0 {
-                    continue;
+        let mut window = Window::default();
+        if radius == 1.0 {
+            // Most windows: four pixels, without loops whose lengths depend on where they are.
+            let (x, y) = (u as u32, v as u32);
+            let weights = |at: u32, of: f64| [at, at + 1].map(|at| (1.0 - (f64::from(at) - of).abs()).max(0.0));
+            let ([left, right], [above, below]) = (weights(x, u), weights(y, v));
+            let rows = [y, y + 1].map(|y| (y as usize * self.camera.width as usize + x as usize) * 3);
+            for (row, wy) in rows.into_iter().zip([above, below]) {
+                // At the last column or row the pixel beyond has no weight.
+                for (at, wx) in [(row, left), (row + 3, right)] {
+                    if let Some(value) = self.data.get(at..).and_then(|rest| rest.first_chunk::<3>()) {
+                        window.add(table, value, (wy * wx) as f32);
+                    }
                 }
-                brightest = brightest.max(value[0]).max(value[1]).max(value[2]);
-                for c in 0..3 {
-                    sum[c] += weight * table[value[c] as usize];
+            }
+        } else {
+            let (first, end) = (least_above(left), right as u32 + 1);
+            for y in least_above(top)..=bottom as u32 {
+                let wy = (radius - (f64::from(y) - v).abs()).max(0.0);
+                let row = &self.data[3 * y as usize * self.camera.width as usize..];
+                let (row, _) = row[3 * first as usize..3 * end as usize].as_chunks::<3>();
+                for (x, value) in (first..).zip(row) {
+                    window.add(table, value, (wy * (radius - (f64::from(x) - u).abs()).max(0.0)) as f32);
                 }
-                total += weight;
-                squares += weight * weight;
             }
         }
+        let Window { sum, total, squares, brightest } = window;
         let shade = self.vignetting.shade(&self.camera, u, v);
         (total > 0.0).then(|| WindowSample {
             color: sum.map(|s| s / (total * shade)),
             brightest,
             pixels: total * total / squares,
         })
+    }
+}
+
+/// Sums over the pixels of a window.
+#[derive(Default)]
+struct Window {
+    sum: [f32; 3],
+    total: f32,
+    squares: f32,
+    brightest: u8,
+}
+
+impl Window {
+    #[inline]
+    fn add(&mut self, table: &[f32; 256], value: &[u8; 3], weight: f32) {
+        if weight <= 0.0 {
+            return;
+        }
+        self.brightest = self.brightest.max(value[0]).max(value[1]).max(value[2]);
+        (0..3).for_each(|c| self.sum[c] += weight * table[value[c] as usize]);
+        self.total += weight;
+        self.squares += weight * weight;
     }
 }
 

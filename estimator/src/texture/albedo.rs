@@ -3,26 +3,19 @@
 use crate::association::sharpening::sharper;
 use crate::association::{AssociationContext, Lens};
 use crate::export::picture::encode_jpeg;
-use crate::texture::atlas::{Atlas, EMPTY, weights};
+use crate::texture::atlas::{Atlas, EMPTY};
+use crate::texture::filling::{Filling, VertexColors};
 use crate::texture::mutual::register_views;
-use crate::texture::texels::blend;
-use crate::texture::views::{PosedKeyframe, TextureView, ViewSample, views};
+use crate::texture::views::{PosedKeyframe, TextureView, views};
 use firmware_config::TextureChoice;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use recordings::decision::{AtlasFigures, Decision};
 use recordings::result::Texture;
-use recordings::types::{Mesh, Response};
+use recordings::types::Response;
 
 /// Vertices at which the footprint of the pixels is looked up.
 const FOOTPRINT_VERTICES: usize = 4000;
-/// Largest factor between the albedo of a texel and of the vertices around it.
-const MAX_RATIO: f32 = 8.0;
-/// Smallest share of a texel's radiance that is left when gloss is taken off.
-const MIN_MATTE: f32 = 0.05;
-/// A keyframe with less than this share of the weight of the best one that shows all of a triangle is asked for its texels only where the
-/// others are clipped or show nothing: weights are raised to the fourth power.
-const HARDLY: f32 = 0.5;
 /// Largest albedo that the picture holds: beyond it darker ones would be too coarse in 8 bits.
 const MAX_SCALE: f32 = 3.0;
 /// Share of the page whose texels may be cut at the largest value: specks of gloss do not make all else coarser.
@@ -33,19 +26,6 @@ const BLUR_PX2: f32 = 0.4;
 const MOST_LOST: f32 = 0.65;
 /// Rings of empty texels around the charts that take their mean colour, for coarse mipmaps and the blocks of JPEG.
 const FILL_RINGS: usize = 8;
-
-/// What the vertices know: `[vertex]`.
-#[derive(Clone, Copy)]
-pub struct VertexColors<'a> {
-    /// Lit colour with gloss.
-    pub with_gloss: &'a [Vec3],
-    /// Lit colour without gloss.
-    pub matte: &'a [Vec3],
-    /// Weight of the lit colour, 0 = never seen.
-    pub weight: &'a [f32],
-    /// Albedo.
-    pub albedo: &'a [Vec3],
-}
 
 /// A texture, and how it was decided. `lens` is what the colours of the vertices are free of.
 #[must_use]
@@ -65,7 +45,7 @@ pub fn texture(
     let Some(atlas) = Atlas::new(context.mesh, wanted, tuning) else { return none(f64::from(footprint)) };
     let moved = register_views(context, &mut views, &atlas);
     tracing::debug!(moved_px = moved, "pictures registered to each other");
-    let (blurred, seen) = texels(context, &views, &atlas, colors);
+    let (blurred, seen) = Filling::new(context, &views, &atlas, colors).texels();
     drop(views);
     let albedo = sharpened(&blurred, &seen, &atlas, footprint);
     drop(blurred);
@@ -96,81 +76,13 @@ fn footprint(context: &AssociationContext, views: &[TextureView]) -> Option<f32>
     let mesh = context.mesh;
     let stride = mesh.positions.len().div_ceil(FOOTPRINT_VERTICES).max(1);
     let smallest = (0..mesh.positions.len()).into_par_iter().step_by(stride).filter_map(|i| {
-        let samples = views.iter().filter_map(|v| v.sample(context, mesh.positions[i], mesh.normals[i], 0.0));
+        let samples = views.iter().filter_map(|v| v.sample(context, mesh.positions[i], mesh.normals[i]));
         samples.map(|s| s.footprint).reduce(f32::min)
     });
     let mut smallest: Vec<f32> = smallest.collect();
     smallest.sort_by(f32::total_cmp);
     let share = context.config.tuning.texture.near_share;
     smallest.get((share * smallest.len() as f64) as usize).or(smallest.last()).copied()
-}
-
-/// Albedo of the texels, `[row][column]`, black where there is no surface, and which of them a keyframe shows.
-fn texels(
-    context: &AssociationContext,
-    views: &[TextureView],
-    atlas: &Atlas,
-    colors: VertexColors,
-) -> (Vec<Vec3>, Vec<bool>) {
-    let (width, mesh) = (atlas.width as usize, context.mesh);
-    let weights_of_views = weights_of_views(context, views);
-    let hardly = hardly(mesh, &weights_of_views);
-    let power = context.config.tuning.texture.weight_power as f32;
-    let mut texels = vec![Vec3::ZERO; atlas.owner.len()];
-    let mut seen = vec![false; atlas.owner.len()];
-    let rows = texels.par_chunks_mut(width).zip(seen.par_chunks_mut(width)).zip(atlas.owner.par_chunks(width));
-    rows.enumerate().for_each(|(y, ((texels, seen), owners))| {
-        let mut samples: Vec<ViewSample> = Vec::new();
-        for (x, &owner) in owners.iter().enumerate().filter(|(_, owner)| **owner != EMPTY) {
-            let corners = mesh.triangles[owner as usize];
-            let chart = &atlas.charts[atlas.chart[owner as usize] as usize];
-            let w = weights(chart, corners.map(|i| mesh.positions[i as usize]), Vec2::new(x as f32, y as f32));
-            let mix = |of: &[Vec3], w: [f32; 3]| corners.iter().zip(w).map(|(&i, w)| of[i as usize] * w).sum::<Vec3>();
-            let near = normalised(w);
-            let (point, normal) = (mix(&mesh.positions, w), mix(&mesh.normals, near).normalize_or_zero());
-            let mut albedo = mix(colors.albedo, near);
-            samples.clear();
-            let hardly = hardly[owner as usize];
-            let most = |of_view: &Vec<f32>| corners.iter().map(|&i| of_view[i as usize]).fold(0.0, f32::max);
-            let ask = |samples: &mut Vec<ViewSample>, counts: &dyn Fn(f32) -> bool| {
-                let asked = views.iter().zip(&weights_of_views).filter(|(_, w)| counts(most(w)));
-                samples.extend(asked.filter_map(|(view, _)| view.sample(context, point, normal, atlas.texel)));
-            };
-            ask(&mut samples, &|weight| weight > hardly);
-            if samples.iter().all(|s| s.clipped) {
-                ask(&mut samples, &|weight| weight > 0.0 && weight <= hardly);
-            }
-            if let Some(radiance) = blend(&mut samples, power) {
-                seen[x] = true;
-                if corners.iter().all(|&i| colors.weight[i as usize] > 0.0) {
-                    let matte = mix(colors.matte, near);
-                    let gloss = mix(colors.with_gloss, near) - matte;
-                    albedo *= ratio((radiance - gloss).max(radiance * MIN_MATTE), matte);
-                }
-            }
-            texels[x] = albedo;
-        }
-    });
-    (texels, seen)
-}
-
-/// Weights of the keyframes at the vertices, 0 where they do not show them: `[keyframe][vertex]`. A keyframe that shows no corner of a
-/// triangle is not asked for its texels.
-fn weights_of_views(context: &AssociationContext, views: &[TextureView]) -> Vec<Vec<f32>> {
-    let vertices = || context.mesh.positions.par_iter().zip(&context.mesh.normals);
-    let of_view = |view: &TextureView| {
-        vertices().map(|(p, n)| view.visible(context, *p, *n).map_or(0.0, |v| v.weight(context))).collect()
-    };
-    views.iter().map(of_view).collect()
-}
-
-/// Weight up to which a keyframe hardly counts: `[triangle]`.
-fn hardly(mesh: &Mesh, weights_of_views: &[Vec<f32>]) -> Vec<f32> {
-    let best = |corners: &[u32; 3]| {
-        let of_view = |weights: &Vec<f32>| corners.iter().map(|&i| weights[i as usize]).fold(f32::MAX, f32::min);
-        weights_of_views.iter().map(of_view).fold(0.0, f32::max)
-    };
-    mesh.triangles.par_iter().map(|t| HARDLY * best(t)).collect()
 }
 
 /// Texels that keyframes show without the blur of lens and pixels as wide as `footprint`, within their charts.
@@ -207,19 +119,6 @@ fn encoded(texels: &[Vec3], scale: f32) -> Vec<u8> {
         bytes.copy_from_slice(&(*albedo / scale).to_array().map(|a| Response::Srgb.encode(a)));
     });
     bytes
-}
-
-/// Weights of the nearest point of the triangle, roughly.
-fn normalised(w: [f32; 3]) -> [f32; 3] {
-    let w = w.map(|x| x.max(0.0));
-    let sum = w[0] + w[1] + w[2];
-    w.map(|x| x / sum)
-}
-
-/// A colour over another one, bounded; 1 where the other is black.
-fn ratio(color: Vec3, over: Vec3) -> Vec3 {
-    let one = |c: f32, o: f32| if o > 0.0 { (c / o).clamp(0.0, MAX_RATIO) } else { 1.0 };
-    Vec3::new(one(color.x, over.x), one(color.y, over.y), one(color.z, over.z))
 }
 
 /// Continues the charts over the empty texels around them, and gives the rest their mean colour.

@@ -2,6 +2,7 @@
 
 use crate::association::AssociationContext;
 use crate::texture::atlas::{Atlas, EMPTY, weights};
+use crate::texture::registration::windows;
 use crate::texture::texels::blend;
 use crate::texture::views::{TextureView, ViewSample};
 use firmware_config::Switch;
@@ -16,11 +17,11 @@ pub fn register_views(context: &AssociationContext, views: &mut [TextureView], a
     let power = context.config.tuning.texture.weight_power as f32;
     let points = points(context, atlas, tuning.points as usize);
     let mut squares = 0.0;
-    for _ in 0..rounds {
+    for round in 0..rounds {
         let seen: Vec<Vec<(usize, ViewSample)>> = points
             .par_iter()
             .map(|&(p, n)| {
-                let sample = |(j, v): (usize, &TextureView)| Some((j, v.sample(context, p, n, 0.0)?));
+                let sample = |(j, v): (usize, &TextureView)| Some((j, v.sample(context, p, n)?));
                 views.iter().enumerate().filter_map(sample).collect()
             })
             .collect();
@@ -36,15 +37,19 @@ pub fn register_views(context: &AssociationContext, views: &mut [TextureView], a
                     Some((*point, blend(&mut others, power)?))
                 };
                 let colors: Vec<(Vec3, Vec3)> = seen.iter().zip(&points).filter_map(&mut color).collect();
-                view.register(context, &colors)
+                view.register(context, &colors, windows(round))
             })
             .collect();
         squares += moved.iter().map(|m| m * m).sum::<f64>() / moved.len().max(1) as f64;
     }
+    if squares > 0.0 {
+        views.par_iter_mut().for_each(|view| view.look(context));
+    }
     squares.sqrt()
 }
 
-/// Points of the surface with their normals, about so many: the same share of the texels of every part.
+/// Points of the surface with their normals, about so many: the same share of the texels of every part, in the order of the triangles,
+/// neighbours of which lie in the same parts of the pictures.
 fn points(context: &AssociationContext, atlas: &Atlas, count: usize) -> Vec<(Vec3, Vec3)> {
     let mesh = context.mesh;
     let covered = (0..atlas.owner.len()).filter(|at| atlas.owner[*at] != EMPTY);
@@ -57,8 +62,10 @@ fn points(context: &AssociationContext, atlas: &Atlas, count: usize) -> Vec<(Vec
         // The gutter lies beyond the surface.
         w.iter().all(|w| *w >= 0.0).then(|| {
             let mix = |of: &[Vec3]| corners.iter().zip(w).map(|(&i, w)| of[i] * w).sum::<Vec3>();
-            (mix(&mesh.positions), mix(&mesh.normals).normalize_or_zero())
+            (owner, mix(&mesh.positions), mix(&mesh.normals).normalize_or_zero())
         })
     };
-    covered.step_by(stride).filter_map(point).collect()
+    let mut points: Vec<(usize, Vec3, Vec3)> = covered.step_by(stride).filter_map(point).collect();
+    points.sort_by_key(|(owner, _, _)| *owner);
+    points.into_iter().map(|(_, point, normal)| (point, normal)).collect()
 }

@@ -11,6 +11,8 @@ use glam::Vec3;
 use nalgebra::{SMatrix, SVector};
 use rayon::prelude::*;
 
+/// A step that lowers the cost by a smaller share is the last under its window.
+const WORTHWHILE: f64 = 1e-3;
 /// Points that one task adds up.
 const CHUNK: usize = 1024;
 
@@ -34,19 +36,29 @@ pub struct Registered {
     pub moved_px: f64,
 }
 
-/// The camera with which the picture fits the expected colours best, starting at `camera`; the same camera if none fits better
-/// or there are too few points.
+/// Half widths of the window under which pictures are compared, pixels: wide ones lead to where narrow ones tell.
+const COARSE_TO_FINE: [f64; 2] = [2.0, 1.0];
+
+/// Those of a round of registration: rounds after the first leave what only the narrowest window tells.
+#[must_use]
+pub fn windows(round: u32) -> &'static [f64] {
+    &COARSE_TO_FINE[(round as usize).min(COARSE_TO_FINE.len() - 1)..]
+}
+
+/// The camera with which the picture fits the expected colours best, starting at `camera`, under windows of these half widths in turn;
+/// the same camera if none fits better or there are too few points.
 #[must_use]
 pub fn register(
     context: &AssociationContext,
     image: &KeyframeImage,
     camera: MovingCamera,
     expected: &[Expected],
+    windows: &[f64],
 ) -> Registered {
     let tuning = &context.config.tuning.registration;
     let problem = Problem { context, image, expected, tuning, given: camera };
     let mut best = Registered { camera, moved_px: 0.0 };
-    for radius in [2.0, 1.0] {
+    for &radius in windows {
         let mut now = best.camera;
         let Some((mut residuals, scale)) = problem.residuals(&now, radius) else { return best };
         let mut least = tukey_cost(&residuals, scale);
@@ -57,8 +69,12 @@ pub fn register(
             if cost >= least {
                 break;
             }
+            let is_settled = cost > least * (1.0 - WORTHWHILE);
             (now, residuals, least) = (next, after, cost);
             best.camera = now;
+            if is_settled {
+                break;
+            }
         }
     }
     best.moved_px = problem.shift_px(&best.camera);
@@ -119,11 +135,11 @@ impl Problem<'_> {
                 let time = camera.time(p);
                 let both = |j: Motion| Unknowns::from_fn(|i, _| if i < 6 { j[i] } else { time * j[i - 6] });
                 let (ju, jv) = (both(ju), both(jv));
-                for c in 0..3 {
-                    let j = ju * f64::from(du[c]) + jv * f64::from(dv[c]);
-                    hessian.ger(weight, &j, &j, 1.0);
-                    gradient += j * (weight * f64::from(difference[c]));
-                }
+                let (uu, uv, vv) = (f64::from(du.dot(du)), f64::from(du.dot(dv)), f64::from(dv.dot(dv)));
+                hessian.ger(weight, &(ju * uu + jv * uv), &ju, 1.0);
+                hessian.ger(weight, &(ju * uv + jv * vv), &jv, 1.0);
+                let (u, v) = (f64::from(du.dot(difference)), f64::from(dv.dot(difference)));
+                gradient += (ju * u + jv * v) * weight;
                 depth = (depth.0 + p.z * weight, depth.1 + weight);
             }
             (hessian, gradient, depth)
@@ -221,7 +237,7 @@ mod tests {
             };
             (expected.iter().map(square).sum::<f64>() / expected.len() as f64).sqrt()
         };
-        (off(&given), off(&register(&context, &image, given, &expected).camera))
+        (off(&given), off(&register(&context, &image, given, &expected, &COARSE_TO_FINE).camera))
     }
 
     #[test]

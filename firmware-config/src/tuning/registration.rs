@@ -10,7 +10,7 @@ section! {
         /// Largest number of Gauss–Newton steps in a round, per width of the window.
         steps: u32 = 4, [1..=1000], "steps", "";
         /// Points of the surface that are compared.
-        points: u32 = 15000, [100..=10000000], "points", "";
+        points: u32 = 8000, [100..=10000000], "points", "";
         /// A picture that shows fewer of them stays where it is.
         min_points: u32 = 200, [12..=10000000], "points", "";
         /// Points that count as one independent observation: errors of neighbouring points are correlated.
