@@ -31,9 +31,9 @@ const PER_VERTEX_LIT: f64 = 2.0e-5;
 /// One validation frame, per pixel.
 const PER_WITNESS_PIXEL: f64 = 3.0e-6;
 /// The atlas, its texels without the views, and its compression.
-const ATLAS: f64 = 1.5;
+const ATLAS: f64 = 0.6;
 /// The texels of one keyframe.
-const PER_TEXTURED_VIEW: f64 = 0.15;
+const PER_TEXTURED_VIEW: f64 = 0.12;
 /// Writing the result, per vertex.
 const PER_VERTEX_WRITTEN: f64 = 1.0e-6;
 /// Bounces until convergence, typically.

@@ -145,7 +145,7 @@ impl TextureView {
     pub fn register(&mut self, context: &AssociationContext, colors: &[(Vec3, Vec3)], windows: &[f64]) -> f64 {
         let expected = |&(point, color): &(Vec3, Vec3)| {
             let (u, v) = self.camera.pixel(self.camera.point(point));
-            Expected { point, color: color / self.exposure + self.veil.at(u, v) * self.veil_share }
+            Expected { point, color: color / self.exposure + self.veil_at(u, v) }
         };
         let expected: Vec<Expected> = colors.iter().map(expected).collect();
         let found = register(context, &self.image, self.camera, &expected, windows);
@@ -179,9 +179,13 @@ impl TextureView {
             return None;
         }
         let weight = visible.weight(context);
-        let veil = self.veil.at(u, v) * self.veil_share;
-        let color = veil::without(Vec3::from_array(sample.color), veil) * self.exposure;
+        let color = veil::without(Vec3::from_array(sample.color), self.veil_at(u, v)) * self.exposure;
         Some(ViewSample { color, weight, footprint: footprint as f32, clipped })
+    }
+
+    /// What is taken away of the veil at a pixel: in most scenes nothing.
+    fn veil_at(&self, u: f64, v: f64) -> Vec3 {
+        if self.veil_share > 0.0 { self.veil.at(u, v) * self.veil_share } else { Vec3::ZERO }
     }
 
     /// How the keyframe sees a triangle with these corners and unit normals.
