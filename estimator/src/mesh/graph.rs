@@ -1,6 +1,7 @@
 //! The mesh as a graph: vertices that share a triangle edge are neighbours.
 
 use crate::numerics::lists::by_key;
+use foldhash::{HashSet, HashSetExt};
 use glam::Vec3;
 use recordings::types::Mesh;
 
@@ -98,7 +99,7 @@ impl Graph {
     /// `start` and vertices at most `reach` edges from it through `passable` ones, breadth first, `most` of them at most.
     #[must_use]
     pub fn around(&self, start: usize, reach: usize, most: usize, passable: impl Fn(usize) -> bool) -> Vec<u32> {
-        let mut listed = Few::new(most);
+        let mut listed: HashSet<u32> = HashSet::with_capacity(most);
         listed.insert(start as u32);
         let (mut list, mut inner) = (Vec::with_capacity(most), 0);
         list.push(start as u32);
@@ -149,33 +150,6 @@ pub fn vertex_spacing(mesh: &Mesh, graph: &Graph, fallback: f32) -> Vec<f32> {
             if mean.is_finite() && mean > 0.0 { mean } else { fallback }
         })
         .collect()
-}
-
-/// A set of a few numbers below `u32::MAX`: a hash table by multiplication that is at most half full (Knuth 1998, §6.4).
-struct Few {
-    slots: Vec<u32>,
-    shift: u32,
-}
-
-impl Few {
-    /// For at most so many.
-    fn new(most: usize) -> Self {
-        let size = (2 * most).next_power_of_two().max(2);
-        Self { slots: vec![u32::MAX; size], shift: u32::BITS - size.trailing_zeros() }
-    }
-
-    /// Inserts a number; false if it is there.
-    fn insert(&mut self, number: u32) -> bool {
-        let mut at = (number.wrapping_mul(0x9e37_79b9) >> self.shift) as usize;
-        while self.slots[at] != u32::MAX {
-            if self.slots[at] == number {
-                return false;
-            }
-            at = (at + 1) & (self.slots.len() - 1);
-        }
-        self.slots[at] = number;
-        true
-    }
 }
 
 #[cfg(test)]

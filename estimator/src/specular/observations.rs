@@ -1,6 +1,7 @@
 //! Observations of a vertex beside the reflected light that is predicted for them.
 
 use crate::association::Association;
+use crate::numerics::robust::median;
 use crate::numerics::sh;
 use crate::specular::gloss::{Gloss, LOBES};
 use crate::specular::mirror_rays::{MirrorRay, MirrorRays};
@@ -82,12 +83,6 @@ impl<'a> MirrorObservations<'a> {
 
 /// Medians of f_s over the views of one vertex, for every lobe; 0 without views.
 pub(super) fn mirror_medians(views: &[MirrorObservation]) -> [[f64; 3]; LOBES.len()] {
-    let mut of_views = Vec::with_capacity(views.len());
-    let mut middle = |lobe: usize, channel: usize| {
-        of_views.clear();
-        of_views.extend(views.iter().map(|o| o.mirror[lobe][channel]));
-        let at = of_views.len() / 2;
-        if of_views.is_empty() { 0.0 } else { *of_views.select_nth_unstable_by(at, f64::total_cmp).1 }
-    };
+    let middle = |lobe: usize, channel: usize| median(views.iter().map(|o| o.mirror[lobe][channel])).unwrap_or(0.0);
     std::array::from_fn(|lobe| std::array::from_fn(|channel| middle(lobe, channel)))
 }

@@ -46,7 +46,8 @@ pub struct Filling<'a> {
 /// A triangle, and the keyframes that show it.
 struct Part<'a> {
     corners: [usize; 3],
-    positions: [Vec3; 3],
+    /// Weight up to which a keyframe hardly counts.
+    hardly: f32,
     /// Those that count.
     first: Vec<SeenTriangle<'a>>,
     /// Those that hardly do, once they are asked.
@@ -80,13 +81,12 @@ impl<'a> Filling<'a> {
             let mut samples: Vec<ViewSample> = Vec::new();
             for left in (0..width).step_by(TILE) {
                 for of_triangle in by_owner(owners, width, left).chunk_by(|a, b| a.0 == b.0) {
-                    let mut part = self.part(of_triangle[0].0 as usize);
-                    for &(owner, at) in of_triangle {
-                        let at = at as usize;
-                        let place = Vec2::new((at % width) as f32, (top + at / width) as f32);
-                        let chart = &atlas.charts[atlas.chart[owner as usize] as usize];
-                        let w = weights(chart, part.positions, place);
-                        (texels[at], seen[at]) = self.texel(&mut part, owner as usize, w, &mut samples);
+                    let owner = of_triangle[0].0 as usize;
+                    let (chart, mut part) = (&atlas.charts[atlas.chart[owner] as usize], self.part(owner));
+                    let positions = part.corners.map(|i| self.context.mesh.positions[i]);
+                    for at in of_triangle.iter().map(|(_, at)| *at as usize) {
+                        let w = weights(chart, positions, Vec2::new((at % width) as f32, (top + at / width) as f32));
+                        (texels[at], seen[at]) = self.texel(&mut part, w, &mut samples);
                     }
                 }
             }
@@ -96,23 +96,22 @@ impl<'a> Filling<'a> {
 
     fn part(&self, triangle: usize) -> Part<'a> {
         let corners = self.context.mesh.triangles[triangle].map(|i| i as usize);
-        let positions = corners.map(|i| self.context.mesh.positions[i]);
-        let mut part = Part { corners, positions, first: Vec::new(), others: None };
-        part.first = self.asked(&part, |weight| weight > self.hardly[triangle]);
-        part
+        let hardly = self.hardly[triangle];
+        Part { corners, hardly, first: self.asked(corners, |weight| weight > hardly), others: None }
     }
 
-    /// The keyframes whose largest weight at the corners counts.
-    fn asked(&self, part: &Part, counts: impl Fn(f32) -> bool) -> Vec<SeenTriangle<'a>> {
-        let weight = |of_view: &Vec<f32>| part.corners.iter().map(|&i| of_view[i]).fold(0.0, f32::max);
+    /// The keyframes whose largest weight at the corners of a triangle counts.
+    fn asked(&self, corners: [usize; 3], counts: impl Fn(f32) -> bool) -> Vec<SeenTriangle<'a>> {
+        let mesh = self.context.mesh;
+        let (positions, normals) = (corners.map(|i| mesh.positions[i]), corners.map(|i| mesh.normals[i]));
+        let weight = |of_view: &Vec<f32>| corners.iter().map(|&i| of_view[i]).fold(0.0, f32::max);
         let asked = self.views.iter().zip(&self.weights).filter(|(_, of_view)| counts(weight(of_view)));
-        let normals = part.corners.map(|i| self.context.mesh.normals[i]);
-        asked.map(|(view, _)| view.triangle(part.positions, normals)).collect()
+        asked.map(|(view, _)| view.triangle(positions, normals)).collect()
     }
 
     /// Albedo of the texel with these barycentric weights, and true if a keyframe shows it.
-    fn texel(&self, part: &mut Part<'a>, triangle: usize, w: [f32; 3], samples: &mut Vec<ViewSample>) -> (Vec3, bool) {
-        let Self { context, atlas, colors, hardly, .. } = self;
+    fn texel(&self, part: &mut Part<'a>, w: [f32; 3], samples: &mut Vec<ViewSample>) -> (Vec3, bool) {
+        let Self { context, atlas, colors, .. } = self;
         let near = normalised(w);
         samples.clear();
         let mut sample = |views: &[SeenTriangle]| {
@@ -120,11 +119,9 @@ impl<'a> Filling<'a> {
             samples.iter().all(|s| s.clipped)
         };
         if sample(&part.first) {
-            let others = part.others.take();
-            let asked = || self.asked(part, |weight| weight > 0.0 && weight <= hardly[triangle]);
-            let others = others.unwrap_or_else(asked);
-            sample(&others);
-            part.others = Some(others);
+            let (corners, hardly) = (part.corners, part.hardly);
+            let asked = || self.asked(corners, |weight| weight > 0.0 && weight <= hardly);
+            sample(part.others.get_or_insert_with(asked));
         }
         let mix = |of: &[Vec3]| part.corners.iter().zip(near).map(|(&i, w)| of[i] * w).sum::<Vec3>();
         let albedo = mix(colors.albedo);
