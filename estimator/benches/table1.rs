@@ -72,8 +72,8 @@ fn main() {
         let mesh = regularise::regularise(&scan.mesh, &config, ScanSource::Fusion);
         let scene = RayScene::new(&mesh);
         let (fields, association) = timed(|| {
-            let context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, &config);
-            association::associate(&context, &scan.keyframes, &())
+            let mut context = AssociationContext::new(&mesh, &scene, &scan.sensor.response, &config);
+            association::associate(&mut context, &scan.keyframes, &())
         });
         let ((graph, segment), segmentation) = timed(|| {
             let graph = Graph::of(&mesh);

@@ -93,8 +93,8 @@ pub fn compare(
     let still = |pose: &Pose| from(MovingCamera::still(pose, &picture.camera));
     let mut rendered = still(&tracked);
     let mut found = rendered.pixels(model, lit);
-    let psnr = |pixels: &[Pixel]| psnr(pixels, &context.table);
-    let gains = |pixels: &[Pixel]| gains(pixels, &context.table);
+    let psnr = |pixels: &[Pixel]| psnr(pixels, context);
+    let gains = |pixels: &[Pixel]| gains(pixels, context);
     let tracked_psnr_db = [psnr(&found), psnr(&rendered.pixels(model, modelled))];
     let mut view = RefinedView { world_from_camera: tracked, gain: gains(&found), residual_px: 0.0 };
     if config.refine_poses != Switch::Off {
@@ -377,27 +377,29 @@ fn modelled(model: &Model, at: &SurfacePoint) -> Option<[f64; 3]> {
     Some(modelled)
 }
 
-/// Median exposure gain per channel over the pixels that are neither dark nor clipped. `table` maps 8-bit values to linear light.
-fn gains(pixels: &[Pixel], table: &[f32; 256]) -> [f64; 3] {
+/// Median exposure gain per channel over the pixels that are neither dark nor clipped.
+fn gains(pixels: &[Pixel], context: &AssociationContext) -> [f64; 3] {
     [0, 1, 2].map(|c| {
-        let seen = |p: &Pixel| f64::from(table[p.seen[c] as usize]);
+        let seen = |p: &Pixel| f64::from(context.table[p.seen[c] as usize]);
         let ratios = pixels
             .iter()
-            .filter(|p| p.predicted[c] > 1e-6 && seen(p) > 0.004 && seen(p) < 0.95)
+            .filter(|p| p.predicted[c] > 1e-6 && seen(p) > 0.004 && p.seen[c] < context.clipped)
             .map(|p| (seen(p) / p.shade - p.veil[c]) / p.predicted[c]);
         median(ratios).unwrap_or(1.0)
     })
 }
 
-/// PSNR in 8-bit sRGB after one fitted exposure gain per channel. `table` maps 8-bit values to linear light.
-fn psnr(pixels: &[Pixel], table: &[f32; 256]) -> f64 {
+/// PSNR in 8-bit values after one fitted exposure gain per channel: those of the picture where they are sRGB's, with or without a shoulder, else
+/// of sRGB.
+fn psnr(pixels: &[Pixel], context: &AssociationContext) -> f64 {
     if pixels.is_empty() {
         return 0.0;
     }
-    let gain = gains(pixels, table);
-    let srgb = |x: f64| Response::Srgb.value_from_linear(x.clamp(0.0, 1.0));
-    let seen = table.map(|x| srgb(f64::from(x)));
-    let off = |p: &Pixel, c: usize| srgb((gain[c] * p.predicted[c] + p.veil[c]) * p.shade) - seen[p.seen[c] as usize];
+    let gain = gains(pixels, context);
+    let shown = if let Response::Shoulder(_) = context.response { context.response } else { Response::Srgb };
+    let value = |x: f64| shown.value_from_linear(x.clamp(0.0, shown.full_scale()));
+    let seen = context.table.map(|x| value(f64::from(x)));
+    let off = |p: &Pixel, c: usize| value((gain[c] * p.predicted[c] + p.veil[c]) * p.shade) - seen[p.seen[c] as usize];
     let square: f64 = pixels.iter().flat_map(|p| [0, 1, 2].map(|c| off(p, c).powi(2))).sum();
     let mean = square / (3 * pixels.len()) as f64;
     // 8 bits cannot show less than the variance of their rounding.

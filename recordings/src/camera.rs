@@ -1,5 +1,6 @@
 //! Camera mathematics: Brown–Conrady distortion there and back, and the response curve.
 
+use crate::shoulder::{compressed, expanded};
 use crate::types::{CameraModel, Distortion, Intrinsics, Response};
 use glam::DVec3;
 use std::sync::LazyLock;
@@ -145,7 +146,13 @@ impl CameraModel {
 pub(crate) const MAX_SIDE: u32 = 16_384;
 
 impl Response {
-    /// Linear light of an encoded value, both with full scale 1; `value` must not be negative.
+    /// Linear light of the largest value.
+    #[must_use]
+    pub fn full_scale(&self) -> f64 {
+        if let Self::Shoulder(strength) = *self { expanded(1.0, strength) } else { 1.0 }
+    }
+
+    /// Linear light of an encoded value, whose full scale is 1; `value` must not be negative.
     #[must_use]
     pub fn linear_from_value(&self, value: f64) -> f64 {
         match *self {
@@ -153,10 +160,11 @@ impl Response {
             Self::Srgb => libm::pow((value + 0.055) / 1.055, 2.4),
             Self::Linear => value,
             Self::Gamma(gamma) => libm::pow(value, gamma),
+            Self::Shoulder(strength) => expanded(Self::Srgb.linear_from_value(value), strength),
         }
     }
 
-    /// Encoded value of linear light, both with full scale 1; `linear` must not be negative.
+    /// Encoded value, of full scale 1, of linear light; `linear` must not be negative.
     #[must_use]
     pub fn value_from_linear(&self, linear: f64) -> f64 {
         match *self {
@@ -164,10 +172,11 @@ impl Response {
             Self::Srgb => 1.055 * libm::pow(linear, 1.0 / 2.4) - 0.055,
             Self::Linear => linear,
             Self::Gamma(gamma) => libm::pow(linear, 1.0 / gamma),
+            Self::Shoulder(strength) => Self::Srgb.value_from_linear(compressed(linear, strength)),
         }
     }
 
-    /// Linear light (0..1) of an 8-bit value.
+    /// Linear light (0 to [`full_scale`](Self::full_scale)) of an 8-bit value.
     #[must_use]
     pub fn linearise(&self, value: u8) -> f32 {
         self.linear_from_value(f64::from(value) / 255.0) as f32
@@ -179,10 +188,17 @@ impl Response {
         std::array::from_fn(|value| self.linearise(value as u8))
     }
 
-    /// The nearest 8-bit value of linear light, clipped to 0..1; NaN becomes 0.
+    /// The nearest 8-bit value of linear light, clipped to 0 and the full scale; NaN becomes 0.
     #[must_use]
     pub fn encode(&self, linear: f32) -> u8 {
-        if *self == Self::Srgb { SRGB_STEPS.value(linear) } else { self.rounded(linear) }
+        match *self {
+            Self::Srgb => SRGB_STEPS.value(linear),
+            Self::Shoulder(strength) => {
+                let linear = f64::from(linear).clamp(0.0, self.full_scale());
+                SRGB_STEPS.value(compressed(linear, strength) as f32)
+            }
+            Self::Linear | Self::Gamma(_) => self.rounded(linear),
+        }
     }
 
     /// [`Response::encode`] by its definition.
@@ -285,9 +301,9 @@ mod tests {
 
     #[test]
     fn srgb_and_gamma_come_back() {
-        for response in [Response::Srgb, Response::Linear, Response::Gamma(2.2)] {
+        for response in [Response::Srgb, Response::Linear, Response::Gamma(2.2), Response::Shoulder(0.9)] {
             let table = response.linear_table();
-            assert_eq!((table[0], table[255]), (0.0, 1.0));
+            assert_eq!((table[0], table[255]), (0.0, response.full_scale() as f32));
             for v in 0..=255u8 {
                 assert_eq!(response.encode(table[v as usize]), v, "{response:?}");
             }

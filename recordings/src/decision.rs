@@ -307,6 +307,17 @@ pub enum Decision {
         /// Patches compared.
         patches: u32,
     },
+    /// How far the camera compresses what is bright.
+    Shoulder {
+        /// Strength a of the [`shoulder`](crate::shoulder).
+        strength: f64,
+        /// Share of the patches' weight that exposures from the other half do not explain, without one.
+        without: f64,
+        /// The same with that which the other half tells.
+        with: f64,
+        /// Patches compared.
+        patches: u32,
+    },
 }
 
 /// How the distant light correlates with what half of the keyframes saw beyond the scan. No step uses that; of what the other half

@@ -94,6 +94,7 @@ impl Decision {
             Self::Division { .. } => "segments",
             Self::Haze { .. } => "glare",
             Self::Vignetting { .. } => "vignetting",
+            Self::Shoulder { .. } => "highlights",
         }
     }
 
@@ -150,6 +151,7 @@ impl Decision {
             Self::Vignetting { strength, .. } => {
                 format!("corners {:.0} % darker", 100.0 * (1.0 - libm::exp(-strength)))
             }
+            Self::Shoulder { strength, .. } => format!("white stands for {:.2} × as much light", 1.0 + strength),
             Self::NearLight { accepted, .. } => if *accepted { "in place of distant light" } else { "refused" }.into(),
         }
     }
@@ -304,6 +306,10 @@ impl Decision {
                 "disagreement of held-out patches (0 to 1): {without:.4} with even pictures, {with:.4} with the vignetting \
                  that the others tell"
             ),
+            Self::Shoulder { without, with, .. } => format!(
+                "disagreement of held-out patches (0 to 1): {without:.4} as in sRGB, {with:.4} with highlights compressed as the \
+                 others tell"
+            ),
             Self::Materials { segments, held_out_segments, held_out, .. } => format!(
                 "mean relative error on vertices left out: {held_out_segments:.4} with an albedo for each of {segments} \
                  segments, {held_out:.4} with one for those of like albedo"
@@ -337,7 +343,7 @@ impl Decision {
             Self::Materials { .. } => "2 factorisations".into(),
             Self::NearLight { .. } | Self::Division { .. } => "2 models compared".into(),
             Self::Haze { glare } => format!("{} pictures", glare.len()),
-            Self::Vignetting { patches, .. } => format!("{patches} patches"),
+            Self::Vignetting { patches, .. } | Self::Shoulder { patches, .. } => format!("{patches} patches"),
             Self::LightChroma { held_out, .. } => format!("{} solutions of the light", held_out.len()),
             Self::Background(b) => format!("{} pictures", b.keyframes),
         }
@@ -393,6 +399,7 @@ impl Decision {
             | Self::NearLight { .. }
             | Self::Division { .. }
             | Self::Vignetting { .. }
+            | Self::Shoulder { .. }
             | Self::LightChroma { .. }
             | Self::Background(_) => String::new(),
             Self::Haze { .. } => "keep lamps and windows out of the picture".into(),
@@ -495,6 +502,7 @@ impl fmt::Display for Response {
             Self::Srgb => f.write_str("srgb"),
             Self::Linear => f.write_str("linear"),
             Self::Gamma(gamma) => write!(f, "gamma:{gamma}"),
+            Self::Shoulder(strength) => write!(f, "srgb with a shoulder of {strength:.2}"),
         }
     }
 }
@@ -502,7 +510,7 @@ impl fmt::Display for Response {
 /// The responses that pass the test of exposures where this one does: all powers do alike.
 fn family(response: Response) -> &'static str {
     match response {
-        Response::Srgb => "srgb",
+        Response::Srgb | Response::Shoulder(_) => "srgb",
         Response::Linear | Response::Gamma(_) => "linear or gamma:2.2",
     }
 }
@@ -674,6 +682,16 @@ mod tests {
             line(&vignetting),
             "vignetting | corners 18 % darker | disagreement of held-out patches (0 to 1): 0.5712 with even pictures, 0.4305 \
              with the vignetting that the others tell | 928 patches | "
+        );
+    }
+
+    #[test]
+    fn a_shoulder_is_told_by_what_white_stands_for() {
+        let shoulder = Decision::Shoulder { strength: 0.9, without: 0.6729, with: 0.6428, patches: 1431 };
+        assert_eq!(
+            line(&shoulder),
+            "highlights | white stands for 1.90 × as much light | disagreement of held-out patches (0 to 1): 0.6729 as in \
+             sRGB, 0.6428 with highlights compressed as the others tell | 1431 patches | "
         );
     }
 

@@ -31,6 +31,7 @@ pub mod result;
 #[cfg(test)]
 mod samples;
 pub mod scan;
+pub mod shoulder;
 pub mod source;
 #[cfg(test)]
 mod testing;

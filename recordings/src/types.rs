@@ -61,6 +61,8 @@ pub enum Response {
     Linear,
     /// value = light^(1/gamma).
     Gamma(f64),
+    /// sRGB with a [`shoulder`](crate::shoulder) of this strength.
+    Shoulder(f64),
 }
 
 /// What stands in the header of every recording and scan about the sensor.

@@ -3,6 +3,7 @@
 use crate::decision::DecisionText;
 use crate::result::estimate::{Light, ResultKeyframe, Segment, WitnessError};
 use crate::scan::contents::{CaptureStats, ScanSource};
+use crate::shoulder::MAX_STRENGTH;
 use crate::types::{CameraModel, ColorEncoding, ColorFrame, Distortion, Intrinsics, Pose, Response, Sensor};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -72,6 +73,7 @@ pub(crate) enum ResponseV1 {
     Srgb,
     Linear,
     Gamma(f64),
+    Shoulder(f64),
 }
 
 impl From<Response> for ResponseV1 {
@@ -80,6 +82,7 @@ impl From<Response> for ResponseV1 {
             Response::Srgb => Self::Srgb,
             Response::Linear => Self::Linear,
             Response::Gamma(gamma) => Self::Gamma(gamma),
+            Response::Shoulder(strength) => Self::Shoulder(strength),
         }
     }
 }
@@ -92,6 +95,8 @@ impl TryFrom<ResponseV1> for Response {
             ResponseV1::Linear => Ok(Self::Linear),
             ResponseV1::Gamma(gamma) if gamma.is_finite() && gamma > 0.0 => Ok(Self::Gamma(gamma)),
             ResponseV1::Gamma(gamma) => Err(format!("response gamma {gamma}")),
+            ResponseV1::Shoulder(strength) if (0.0..=MAX_STRENGTH).contains(&strength) => Ok(Self::Shoulder(strength)),
+            ResponseV1::Shoulder(strength) => Err(format!("response shoulder {strength}")),
         }
     }
 }

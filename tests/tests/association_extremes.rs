@@ -49,7 +49,7 @@ fn keyframe(height: f64, shift: f64, pixel: impl Fn(u32, u32) -> [u8; 3]) -> Key
 fn run(mesh: &Mesh, keyframes: &[Keyframe]) -> (Association, Vec<u32>) {
     let config = EstimatorConfig::default();
     let scene = RayScene::new(mesh);
-    let found = associate(&AssociationContext::new(mesh, &scene, &Response::Srgb, &config), keyframes, &());
+    let found = associate(&mut AssociationContext::new(mesh, &scene, &Response::Srgb, &config), keyframes, &());
     let segment = segmentation::segment(mesh, &Graph::of(mesh), &scene, &found.lit_color, &found.lit_weight, &config);
     let n = mesh.positions.len();
     assert_eq!((found.lit_color.len(), found.lit_weight.len(), found.views.len()), (n, n, keyframes.len()));
@@ -101,9 +101,36 @@ fn exposures_far_apart_are_found() {
     let dark = keyframe(1.0, 0.0, |x, y| [shade(x, y); 3]);
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &[bright, dark], &());
+    let found =
+        associate(&mut AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &[bright, dark], &());
     let ratio = found.views[0].gain[0] / found.views[1].gain[0];
     assert!((ratio / 4.0 - 1.0).abs() < 0.01, "{ratio}");
+}
+
+/// A print that cameras with and without a shoulder show at five exposures: gains, and the light of bright and dim surface.
+#[test]
+fn highlights_that_the_camera_compresses_are_expanded() {
+    const GAINS: [f64; 5] = [0.4, 0.6, 0.9, 1.3, 1.8];
+    let mesh = square(60, 1.0);
+    let wave = |x: f64| 0.5 - 0.5 * libm::cos(x);
+    let light =
+        |x: u32, y: u32, c: usize| 0.05 + 0.75 * wave(f64::from(x) / (3.0 + c as f64)) * wave(f64::from(y) / 4.0 + 0.5);
+    for strength in [0.9, 0.0] {
+        let camera = if strength > 0.0 { Response::Shoulder(strength) } else { Response::Srgb };
+        let shown = |gain: f64, x: u32, y: u32| [0, 1, 2].map(|c| camera.encode((gain * light(x, y, c)) as f32));
+        let keyframes = GAINS.map(|gain| keyframe(1.0, 0.0, move |x, y| shown(gain, x, y)));
+        let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
+        let scene = RayScene::new(&mesh);
+        let mut context = AssociationContext::new(&mesh, &scene, &Response::Srgb, &config);
+        let found = associate(&mut context, &keyframes, &());
+        assert_eq!(found.lens.response, context.response);
+        let white = context.response.full_scale();
+        assert!((white / camera.full_scale() - 1.0).abs() < 0.05, "{white} for a strength of {strength}");
+        for (view, gain) in found.views.iter().zip(GAINS) {
+            let ratio = view.gain[0] / found.views[0].gain[0] * GAINS[0] / gain;
+            assert!((ratio - 1.0).abs() < 0.03, "{ratio} at a gain of {gain}");
+        }
+    }
 }
 
 /// Exposures 1 : 10⁴ apart: no two pictures at the ends share a pixel that is neither clipped nor black, but a chain does.
@@ -120,7 +147,7 @@ fn exposures_ten_thousand_to_one() {
     let keyframes: Vec<Keyframe> = (0..15).map(|j| keyframe(1.0, 0.0, move |x, _| value(j, x))).collect();
     let config = EstimatorConfig { refine_poses: firmware_config::Switch::Off, ..EstimatorConfig::default() };
     let scene = RayScene::new(&mesh);
-    let found = associate(&AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &keyframes, &());
+    let found = associate(&mut AssociationContext::new(&mesh, &scene, &Response::Linear, &config), &keyframes, &());
     let ratio = found.views[1].gain[1] / found.views[14].gain[1];
     let expected = libm::pow(FACTOR, 13.0);
     // Eight bits round a value of 6 by several per cent: each link of the chain may be off by four.

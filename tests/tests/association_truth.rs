@@ -19,8 +19,11 @@ fn associated(name: &str, config: &EstimatorConfig) -> (Truth, Association) {
     let truth = Truth::read(&tests::shared(), name);
     let scan = import_photos(&truth.folder, None).expect("a scan");
     let scene = RayScene::new(&truth.mesh);
-    let association =
-        associate(&AssociationContext::new(&truth.mesh, &scene, &scan.sensor.response, config), &scan.keyframes, &());
+    let association = associate(
+        &mut AssociationContext::new(&truth.mesh, &scene, &scan.sensor.response, config),
+        &scan.keyframes,
+        &(),
+    );
     (truth, association)
 }
 

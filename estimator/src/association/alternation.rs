@@ -4,7 +4,7 @@ use crate::api::Progress;
 use crate::association::context::AssociationContext;
 use crate::association::eligibility::EligibilityRules;
 use crate::association::exposure::{self, Exposures};
-use crate::association::exposure_patches::ExposureProblem;
+use crate::association::exposure_patches::{ExposureProblem, Known};
 use crate::association::haze::LeftOut;
 use crate::association::keyframe_image::KeyframeImage;
 use crate::association::lampless_air::LamplessAir;
@@ -15,7 +15,6 @@ use crate::association::pose::PoseRefiner;
 use crate::association::reliability::{reliability, turns};
 use crate::association::seen_lamps::seen_lamps;
 use crate::association::veil::Veil;
-use crate::association::vignetting::Vignetting;
 use firmware_config::Switch;
 use rayon::prelude::*;
 use recordings::types::{Keyframe, Pose};
@@ -30,49 +29,43 @@ pub struct AssociationEffort<'a> {
     pub go_on: &'a mut dyn FnMut(u32) -> bool,
 }
 
-/// A change of the vignetting that colours do not show; a larger one asks for them once more, so many times.
+/// A change of the vignetting, or of what white stands for, that colours do not show; a larger one asks for them once more, so many times.
 const UNFELT: f64 = 0.01;
+const UNFELT_WHITE: f64 = 0.05;
 const FREED_AGAIN: u32 = 2;
 
 /// Data association (Eqs. 2–5) until it converges.
-pub fn associate(context: &AssociationContext, keyframes: &[Keyframe], progress: &dyn Progress) -> Association {
+pub fn associate(context: &mut AssociationContext, keyframes: &[Keyframe], progress: &dyn Progress) -> Association {
     let rounds = context.config.association_rounds;
     associate_within(context, keyframes, progress, AssociationEffort { rounds, stride: 1, go_on: &mut |_| true })
 }
 
-/// Data association (Eqs. 2–5) within an effort.
+/// The keyframes' pictures, and what they are free of.
+struct Pictures<'a> {
+    keyframes: &'a [Keyframe],
+    /// `None` where there is none, or it is left out: `[keyframe]`.
+    images: Vec<Option<KeyframeImage>>,
+    /// `[keyframe]`.
+    veils: Vec<Option<Veil>>,
+    lens: Lens,
+}
+
+/// Data association (Eqs. 2–5) within an effort. Leaves the context with the response that was found.
 pub fn associate_within(
-    context: &AssociationContext,
+    context: &mut AssociationContext,
     keyframes: &[Keyframe],
     progress: &dyn Progress,
     effort: AssociationEffort,
 ) -> Association {
     let config = context.config;
-    let mut images: Vec<Option<KeyframeImage>> = keyframes
-        .par_iter()
-        .enumerate()
-        .map(|(j, k)| if j % effort.stride == 0 { KeyframeImage::new(&k.color, &k.camera) } else { None })
-        .collect();
+    let mut pictures = Pictures::new(context, keyframes, effort.stride);
     let mut views: Vec<RefinedView> = keyframes
         .iter()
         .map(|k| RefinedView { world_from_camera: k.world_from_camera, gain: [1.0; 3], residual_px: 0.0 })
         .collect();
     let refine = config.refine_poses != Switch::Off && keyframes.len() >= 2 && effort.rounds > 0;
     let rounds = if refine { effort.rounds } else { 1 };
-    let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
-        image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table, context.clipped))
-    };
-    let mut veils: Vec<Option<Veil>> = images.par_iter().zip(keyframes).map(veil).collect();
-    let mut problem = ExposureProblem {
-        mesh: context.mesh,
-        median_edge: context.median_edge,
-        keyframes: keyframes.len(),
-        dark_below: config.dark_below as f32,
-        veils: &veils,
-        vignetting: Some(Vignetting::default()),
-        nearly: false,
-        tuning: &config.tuning.exposure,
-    };
+    let mut known = Known::Nothing;
     let mut left_out = LeftOut::default();
     let mut refiner = PoseRefiner::new(keyframes.iter().map(|k| k.world_from_camera).collect());
     let mut round = 0;
@@ -83,34 +76,33 @@ pub fn associate_within(
         }
         let relaxed = f64::from(round.min(rounds)) / f64::from(rounds);
         let rules = EligibilityRules::new(config, relaxed);
-        let (field, rasters) = LightField::gather(context, &images, &views, &rules, None); // Eqs. (3), (4)
-        let exposures = exposure::solve(&field, &problem, &views, config.exposure); // Eq. (5)
+        let (field, rasters) = LightField::gather(context, &pictures.images, &views, &rules, None); // Eqs. (3), (4)
+        let exposures = exposure::solve(&field, &pictures.problem(context, known), &views, config.exposure); // Eq. (5)
         views.iter_mut().zip(exposures.gains).for_each(|(v, g)| v.gain = g);
-        problem.nearly = are_exposed(&views);
-        left_out.take(exposures.hazed, &mut images);
-        freed(&mut images, &mut problem, exposures.vignetting);
+        left_out.take(exposures.hazed, &mut pictures.images);
+        pictures.free(context, exposures.lens);
+        known = if are_exposed(&views) { Known::Gains } else { Known::Nothing };
         let lit = lit_colors(&field, &views); // Eq. (2)
-        if !refiner.step(context, &images, (&field, &rasters), &lit, &mut views, round) {
+        if !refiner.step(context, &pictures.images, (&field, &rasters), &lit, &mut views, round) {
             break;
         }
         round += 1;
     }
     let rules = EligibilityRules::new(config, 1.0);
     let mut again = FREED_AGAIN;
-    // Gains that were found at poses which were off may be far from right.
-    problem.nearly = false;
     let (field, decisions) = loop {
-        let (field, _) = LightField::gather(context, &images, &views, &rules, Some(rules.last_resort()));
-        let Exposures { gains, decisions, vignetting, hazed } =
-            exposure::solve(&field, &problem, &views, config.exposure);
+        let (field, _) = LightField::gather(context, &pictures.images, &views, &rules, Some(rules.last_resort()));
+        // Gains that were found at poses which were off may be far from right.
+        let problem = pictures.problem(context, Known::Poses);
+        let Exposures { gains, decisions, lens, hazed } = exposure::solve(&field, &problem, &views, config.exposure);
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
-        let is_felt = freed(&mut images, &mut problem, vignetting) > UNFELT && again > 0;
+        let is_felt = pictures.free(context, lens) && again > 0;
         again -= u32::from(is_felt);
-        if !left_out.take(hazed, &mut images) && !is_felt {
+        if !left_out.take(hazed, &mut pictures.images) && !is_felt {
             break (field, decisions);
         }
     };
-    let vignetting = problem.vignetting.unwrap_or_default();
+    let Pictures { mut images, mut veils, lens, .. } = pictures;
     let lit = lit_colors(&field, &views);
     let reliability = reliability(&lit, &context.graph, turns(context, &images, &field, &views));
     progress.stage("association", 1.0);
@@ -123,7 +115,7 @@ pub fn associate_within(
     let poses: Vec<Pose> = views.iter().map(|v| v.world_from_camera).collect();
     Association {
         veils,
-        lens: Lens { veil_share: 0.0, vignetting },
+        lens,
         seen_lamps: seen_lamps(&images, &poses, context.scene, context.clipped),
         lampless_air: LamplessAir::new(&images, &poses, context.clipped),
         reliability,
@@ -139,9 +131,47 @@ pub fn associate_within(
     }
 }
 
-/// Frees the pictures of this vignetting from now on; returns by how much it changes.
-fn freed(images: &mut [Option<KeyframeImage>], problem: &mut ExposureProblem, found: Vignetting) -> f64 {
-    let last = problem.vignetting.replace(found).unwrap_or_default();
-    images.iter_mut().flatten().for_each(|i| i.vignetting = found);
-    (found.strength - last.strength).abs()
+impl<'a> Pictures<'a> {
+    /// The pictures of every `stride`-th keyframe.
+    fn new(context: &AssociationContext, keyframes: &'a [Keyframe], stride: usize) -> Self {
+        let image =
+            |(j, k): (usize, &Keyframe)| if j % stride == 0 { KeyframeImage::new(&k.color, &k.camera) } else { None };
+        let images: Vec<_> = keyframes.par_iter().enumerate().map(image).collect();
+        let lens = Lens { response: context.response, ..Lens::default() };
+        let mut pictures = Self { keyframes, images, veils: Vec::new(), lens };
+        pictures.look_up_veils(context);
+        pictures
+    }
+
+    fn look_up_veils(&mut self, context: &AssociationContext) {
+        let veil = |(image, keyframe): (&Option<KeyframeImage>, &Keyframe)| {
+            image.as_ref().map(|i| Veil::of(i, &keyframe.camera, &context.table, context.clipped))
+        };
+        self.veils = self.images.par_iter().zip(self.keyframes).map(veil).collect();
+    }
+
+    fn problem<'b>(&'b self, context: &'b AssociationContext, known: Known) -> ExposureProblem<'b> {
+        ExposureProblem {
+            mesh: context.mesh,
+            median_edge: context.median_edge,
+            keyframes: self.keyframes.len(),
+            dark_below: context.config.dark_below as f32,
+            veils: &self.veils,
+            lens: Some(self.lens),
+            known,
+            tuning: &context.config.tuning.exposure,
+        }
+    }
+
+    /// Frees the pictures of what this lens does to them, from now on; true if colours that were gathered before show the change.
+    fn free(&mut self, context: &mut AssociationContext, found: Lens) -> bool {
+        let last = std::mem::replace(&mut self.lens, found);
+        self.images.iter_mut().flatten().for_each(|i| i.vignetting = found.vignetting);
+        if found.response != last.response {
+            context.decode_by(found.response);
+            self.look_up_veils(context);
+        }
+        let white = found.response.full_scale() / last.response.full_scale();
+        (found.vignetting.strength - last.vignetting.strength).abs() > UNFELT || (white - 1.0).abs() > UNFELT_WHITE
+    }
 }

@@ -26,6 +26,8 @@ pub struct AssociationContext<'a> {
     pub triangle_normals: Vec<Vec3>,
     /// Near plane of the cameras in the mesh's units.
     pub near: f64,
+    /// How the camera turns light into its 8-bit values.
+    pub response: Response,
     /// Linear light of 8-bit values.
     pub table: [f32; 256],
     /// 8-bit values from here on are clipped.
@@ -50,10 +52,16 @@ impl<'a> AssociationContext<'a> {
             graph,
             triangle_normals: triangle_normals(mesh),
             near: f64::from(median_edge) * NEAR_EDGES,
+            response: *response,
             table: response.linear_table(),
             clipped: config.clipped_from.min(255) as u8,
             poses_are_tracked: false,
             config,
         }
+    }
+
+    /// Decodes pictures by another response from now on.
+    pub(super) fn decode_by(&mut self, response: Response) {
+        (self.response, self.table) = (response, response.linear_table());
     }
 }

@@ -4,18 +4,18 @@
 //! which of them are diffuse. Patches do: the vertices of a patch share their view dependence, and their noise averages out.
 //! Each patch measures the differences between its keyframes; the gains are those on which most of the patches agree.
 
-use crate::association::exposure_patches::{ExposureProblem, Patch, patches};
+use crate::association::exposure_patches::{ExposureProblem, Known, Patch, patches};
 use crate::association::haze::{Hazed, hazed};
 use crate::association::light_field::LightField;
-use crate::association::observations::RefinedView;
+use crate::association::observations::{Lens, RefinedView};
 use crate::association::veil::Veil;
-use crate::association::vignetting::Vignetting;
 use firmware_config::ExposureChoice;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use recordings::decision::{Decision, ExposureModel};
+use recordings::types::Response;
 
 /// A tolerance that no deviation exceeds.
 const UNLIMITED: f64 = 1e12;
@@ -33,10 +33,10 @@ pub(super) type LogGains = Vec<[f64; 3]>;
 pub struct Exposures {
     /// Gains g_j, `[keyframe][channel]`: image = gain · radiance, geometric mean 1.
     pub gains: Vec<[f64; 3]>,
-    /// The evidence, if the model was chosen here, and that of the vignetting.
+    /// The evidence, if the model was chosen here, and that of the lens.
     pub decisions: Vec<Decision>,
-    /// Vignetting of the camera; gains are those without it.
-    pub vignetting: Vignetting,
+    /// What the camera does to the pictures; gains are those without it.
+    pub lens: Lens,
     /// Keyframes that show more glare than surface.
     pub hazed: Vec<Hazed>,
 }
@@ -49,13 +49,8 @@ pub fn solve(
     choice: ExposureChoice,
 ) -> Exposures {
     let keyframes = problem.keyframes;
-    let neutral = |vignetting, decisions| Exposures {
-        gains: vec![[1.0; 3]; keyframes],
-        decisions,
-        vignetting,
-        hazed: Vec::new(),
-    };
-    let known = problem.vignetting.unwrap_or_default();
+    let neutral = |lens, decisions| Exposures { gains: vec![[1.0; 3]; keyframes], decisions, lens, hazed: Vec::new() };
+    let known = problem.lens.unwrap_or_default();
     if choice == ExposureChoice::None || keyframes < 2 {
         return neutral(known, Vec::new());
     }
@@ -64,22 +59,26 @@ pub fn solve(
         return neutral(known, Vec::new());
     }
     let solver = Solver { keyframes, tuning: problem.tuning };
-    let start = if problem.nearly {
+    let start = if problem.known == Known::Gains {
         views.iter().map(|v| v.gain.map(libm::log)).collect()
     } else {
         solver.agreed(&patches.iter().collect::<Vec<_>>())
     };
-    let (vignetting, mut decisions) = match problem.vignetting {
-        Some(known) => {
-            let (found, decision) = solver.vignetting(&mut patches, &start, known);
-            (found, vec![decision])
-        }
-        None => (known, Vec::new()),
-    };
+    let (mut lens, mut decisions) = (known, Vec::new());
+    if problem.lens.is_some() && problem.known == Known::Poses && is_srgb(known.response) {
+        let (strength, decision) = solver.shoulder(&mut patches, &start, &known);
+        lens.response = if strength > 0.0 { Response::Shoulder(strength) } else { Response::Srgb };
+        decisions.push(decision);
+    }
+    if problem.lens.is_some() {
+        let (vignetting, decision) = solver.vignetting(&mut patches, &start, known.vignetting);
+        lens.vignetting = vignetting;
+        decisions.push(decision);
+    }
     let all: Vec<&Patch> = patches.iter().collect();
     let fit = |patches: &[&Patch], rgb: bool| solver.refine(patches, start.clone(), rgb);
     let logs = match choice {
-        ExposureChoice::None => return neutral(vignetting, decisions),
+        ExposureChoice::None => return neutral(lens, decisions),
         ExposureChoice::Scalar => fit(&all, false),
         ExposureChoice::Rgb => fit(&all, true),
         ExposureChoice::Auto => {
@@ -98,14 +97,19 @@ pub fn solve(
             };
             decisions.insert(0, Decision::Exposure { chosen, none, scalar, rgb, patches: all.len() as u32 });
             if chosen == ExposureModel::None {
-                return neutral(vignetting, decisions);
+                return neutral(lens, decisions);
             }
             fit(&all, chosen == ExposureModel::Rgb)
         }
     };
     let clipped: Vec<f64> = problem.veils.iter().map(|v| v.as_ref().map_or(0.0, Veil::clipped)).collect();
     let hazed = hazed(&patches, &logs, &clipped);
-    Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decisions, vignetting, hazed }
+    Exposures { gains: logs.iter().map(|l| l.map(libm::exp)).collect(), decisions, lens, hazed }
+}
+
+/// True if the response is sRGB's but for highlights.
+fn is_srgb(response: Response) -> bool {
+    matches!(response, Response::Srgb | Response::Shoulder(_))
 }
 
 /// The estimate over patches with known number of keyframes and thresholds.
@@ -303,8 +307,8 @@ mod tests {
             keyframes,
             dark_below,
             veils: &veils,
-            vignetting: None,
-            nearly: false,
+            lens: None,
+            known: Known::Nothing,
             tuning,
         };
         solve(field, &problem, &views, choice).gains

@@ -1,9 +1,9 @@
 //! Patches of the surface, and how the keyframes differ over them.
 
 use crate::association::light_field::LightField;
-use crate::association::observations::{Observation, RefinedView};
+use crate::association::observations::{Lens, Observation, RefinedView};
 use crate::association::veil::Veil;
-use crate::association::vignetting::{Vignetting, off_axis};
+use crate::association::vignetting::off_axis;
 use crate::mesh::cells::{CellVertex, by_cell, groups};
 use crate::numerics::channels::{mean, mean_square};
 use crate::numerics::robust::{SIGMA_PER_MAD, median, weighted_median};
@@ -19,6 +19,17 @@ const OUTSHINES: f64 = 3.0;
 /// Rounds of the decomposition of a patch into vertex and keyframe terms; weights change after every second one.
 const PATCH_ROUNDS: usize = 6;
 
+/// What is nearly right of views.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Known {
+    /// Neither poses nor gains.
+    Nothing,
+    /// Gains: no others are searched to start from.
+    Gains,
+    /// Poses: that patches disagree is not for their sake, so that a shoulder is looked for.
+    Poses,
+}
+
 /// Inputs of the exposure estimate.
 pub struct ExposureProblem<'a> {
     /// The surface.
@@ -31,10 +42,10 @@ pub struct ExposureProblem<'a> {
     pub dark_below: f32,
     /// Veil of every keyframe: `[keyframe]`.
     pub veils: &'a [Option<Veil>],
-    /// Vignetting that the colours are free of; `None` where it is not asked for.
-    pub vignetting: Option<Vignetting>,
-    /// The gains of the views are nearly right: no others are searched to start from.
-    pub nearly: bool,
+    /// What the colours are free of; `None` where no more of it is asked for.
+    pub lens: Option<Lens>,
+    /// What is nearly right of the views.
+    pub known: Known,
     /// Thresholds.
     pub tuning: &'a ExposureTuning,
 }
@@ -51,6 +62,8 @@ pub struct Patch {
     pub known: Vec<f64>,
     /// Linear image value whose logarithm is 0 in `logs`.
     pub level: f64,
+    /// The same of a channel, and its logarithm.
+    pub levels: [f64; 3],
     /// Veil over the patch at a share of 1, mean of the channels: `[keyframe of the patch]`.
     pub veils: Vec<f64>,
     /// Squared distance from the axis of the lens, ρ²: `[keyframe of the patch]`.
@@ -125,7 +138,8 @@ impl Patch {
         let weights = known.iter().zip(&lights).zip(&veils).map(weight).collect();
         let level = lights.iter().zip(&logs).map(|(light, log)| libm::log(light.max(1e-12)) - mean(log)).sum::<f64>();
         let level = libm::exp(level / keyframes.len() as f64);
-        Some(Self { keyframes, logs, weights, known, level, veils, off_axis, color, facing: members[0].facing })
+        let levels = levels(&entries, &logs);
+        Some(Self { keyframes, logs, weights, known, level, levels, veils, off_axis, color, facing: members[0].facing })
     }
 
     /// Log deviation of every keyframe of the patch from `gains`, about the patch's weighted median.
@@ -171,6 +185,13 @@ fn brightness(entries: &[Entry], keyframes: usize) -> Vec<f64> {
         sum.1 += e.weight;
     }
     sums.into_iter().map(|(sum, weight)| sum / weight).collect()
+}
+
+/// Mean of the entries' logs over the keyframe terms.
+fn levels(entries: &[Entry], by_keyframe: &[[f64; 3]]) -> [f64; 3] {
+    let total: f64 = entries.iter().map(|e| e.weight).sum();
+    let of_channel = |c: usize| entries.iter().map(|e| e.weight * (e.log[c] - by_keyframe[e.keyframe][c])).sum::<f64>();
+    [0, 1, 2].map(|c| of_channel(c) / total.max(1e-12))
 }
 
 /// Decomposes the logs into vertex + keyframe terms by alternating weighted means with Huber weights. Returns the keyframe

@@ -114,6 +114,7 @@ mod tests {
                 weights: vec![1.0; KEYFRAMES],
                 known: vec![1.0; KEYFRAMES],
                 level: 0.1,
+                levels: [libm::log(0.1); 3],
                 veils: vec![0.0; KEYFRAMES],
                 off_axis,
                 color: Vec3::ZERO,

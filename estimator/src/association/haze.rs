@@ -163,6 +163,7 @@ mod tests {
                 weights: vec![1.0; 8],
                 known: vec![1.0; 8],
                 level: 0.1,
+                levels: [libm::log(0.1); 3],
                 veils: (0..8).map(|k| if k == 7 { 0.3 + 0.01 * (p / 10) as f64 } else { 0.0 }).collect(),
                 off_axis: vec![0.0; 8],
                 color: Vec3::ZERO,

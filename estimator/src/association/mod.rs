@@ -6,6 +6,7 @@
 //! [`alignment`], [`predicted_image`]. [`response`] tests the camera's response. [`seen_lamps`] are what pictures show in the air, [`lampless_air`] is where
 //! they show that there is none. [`veil`] is the
 //! lens's glare in a picture, [`veil_removal`] takes it out of the observations. [`vignetting`] is what the corners lack.
+//! What highlights lack is a matter of the response: exposures tell it, too.
 
 pub mod alignment;
 pub mod alternation;
@@ -13,6 +14,7 @@ pub mod context;
 pub mod eligibility;
 pub mod exposure;
 pub mod exposure_patches;
+mod exposure_shoulder;
 mod exposure_vignetting;
 pub mod haze;
 pub mod image_filters;

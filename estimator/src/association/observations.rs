@@ -7,7 +7,7 @@ use crate::association::vignetting::Vignetting;
 use firmware_config::tuning::ExposureTuning;
 use glam::Vec3;
 use recordings::decision::Decision;
-use recordings::types::Pose;
+use recordings::types::{Pose, Response};
 
 /// The sample of one keyframe at one vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,13 +41,15 @@ pub fn are_exposed(views: &[RefinedView]) -> bool {
     views.iter().any(|v| v.gain != [1.0; 3])
 }
 
-/// What a camera and its lens add to the pictures.
+/// What a camera and its lens do to the pictures.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Lens {
     /// Share of the veil that the colours of the vertices are free of.
     pub veil_share: f64,
     /// Vignetting that they are free of.
     pub vignetting: Vignetting,
+    /// By which the pictures were decoded.
+    pub response: Response,
 }
 
 /// The surface light field and the values estimated from it.

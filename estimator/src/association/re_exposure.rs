@@ -1,7 +1,7 @@
 //! Exposures from matte surfaces only: gloss brightens an image as an exposure does.
 
 use crate::association::exposure;
-use crate::association::exposure_patches::ExposureProblem;
+use crate::association::exposure_patches::{ExposureProblem, Known};
 use crate::association::light_field::LightField;
 use crate::association::lit_color::lit_colors;
 use crate::association::observations::{Association, Observation, are_exposed};
@@ -41,8 +41,8 @@ impl Association {
             keyframes: self.views.len(),
             dark_below: self.dark_below,
             veils: &self.veils,
-            vignetting: None,
-            nearly: false,
+            lens: None,
+            known: Known::Poses,
             tuning: &self.exposure,
         };
         let new = exposure::solve(&field, &problem, &self.views, choice).gains;

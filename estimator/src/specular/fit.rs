@@ -134,6 +134,9 @@ impl<'a> SegmentFit<'a> {
                 }
             }
         }
+        if gloss.lobe_weight > self.tuning.max_weight {
+            return Gloss { error: gloss.error, ..Gloss::NONE };
+        }
         let (w_d, w_s) = mirror_weights(&self.samples, &gloss);
         Gloss { w_d, w_s, ..gloss }
     }

@@ -44,7 +44,7 @@ impl Background {
     /// Looks past the mesh of `scene` from the refined views of `fields` whose pictures were used.
     pub fn observe(scan: &Scan, fields: &Association, scene: &RayScene) -> Self {
         let views = &fields.views;
-        let table = scan.sensor.response.linear_table();
+        let table = fields.lens.response.linear_table();
         let tuning = SurroundingsTuning { sample_step_px: STEP_PX, ..SurroundingsTuning::default() };
         let of_keyframe = |j: &usize| {
             let Ok(picture) = scan.keyframes[*j].color.decode() else { return Vec::new() };

@@ -107,11 +107,11 @@ pub(super) fn prepare_on(mesh: Mesh, scan: &Scan, run: &mut Run) -> Result<Prepa
     let stride = plan.workload().keyframe_stride;
     let effort =
         AssociationEffort { rounds: plan.max_pose_rounds(), stride, go_on: &mut |round| plan.pose_round(round) };
-    let mut fields = association::associate_within(&context, &scan.keyframes, progress, effort);
+    let mut fields = association::associate_within(&mut context, &scan.keyframes, progress, effort);
     let background = Background::observe(scan, &fields, &scene);
     plan.association_done();
     let mut decisions = std::mem::take(&mut fields.decisions);
-    let (decision, mismatch) = response::verify(&fields, &scan.sensor.response, &config.tuning.response);
+    let (decision, mismatch) = response::verify(&fields, &fields.lens.response, &config.tuning.response);
     decisions.push(decision);
     if fields.lit_weight.iter().all(|w| *w <= 0.0) {
         return Err(EstimateError::Unusable("no keyframe shows any part of the mesh unclipped".into()));

@@ -37,7 +37,7 @@ pub fn result(
     decisions.push(prepared.background.likeness(&light, background));
     let estimate = Estimate {
         name: scan.name.clone(),
-        response: scan.sensor.response,
+        response: prepared.fields.lens.response,
         keyframes: keyframes(scan, prepared),
         segments: segments(&prepared.segment, &answer.found, &answer.gloss),
         light,

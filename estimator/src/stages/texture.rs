@@ -23,7 +23,7 @@ pub fn texture(
         return None;
     }
     run.progress.stage("texture", 0.0);
-    let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
+    let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &prepared.fields.lens.response, run.config);
     let colors = VertexColors {
         with_gloss: lit_with_gloss,
         matte: &prepared.fields.lit_color,

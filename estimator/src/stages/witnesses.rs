@@ -43,7 +43,7 @@ pub fn witnesses(
         detail: detail.as_ref(),
         lens: prepared.fields.lens,
     };
-    let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &scan.sensor.response, run.config);
+    let context = AssociationContext::new(&prepared.mesh, &prepared.scene, &prepared.fields.lens.response, run.config);
     let (mut compared, mut predicted) = (Vec::new(), 0);
     for frames in scan.witnesses.chunks(AT_ONCE) {
         let fitting = frames.iter().take_while(|_| run.plan.witness()).count();

@@ -21,6 +21,8 @@ section! {
         rgb_disagreement: f64 = 0.9, [0.0..=1.0], "", "";
         /// Vignetting is undone if it lowers the disagreement of held-out patches to this share; 0 never asks for it. Source: measured on generated scenes and recordings.
         vignetting_disagreement: f64 = 0.995, [0.0..=1.0], "", "";
+        /// Highlights are expanded if it lowers the disagreement of held-out patches to this share; 0 never asks for it. Source: measured on generated scenes and recordings.
+        shoulder_disagreement: f64 = 0.985, [0.0..=1.0], "", "";
         /// Weight of glossy vertices when exposures are estimated again from matte ones. Source: measured on the rendered scenes.
         glossy_weight: f64 = 0.003, [0.0..=1.0], "", "";
         /// Smallest share of a keyframe's observations that must be matte for that. Source: measured on the rendered scenes.

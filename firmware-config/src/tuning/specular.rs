@@ -21,6 +21,8 @@ section! {
         min_significance: f64 = 3.0, [0.0..=100.0], "σ", "w_s, Eq. (13)";
         /// The level of the colours may raise the specular weight from the changes between views by this factor. Source: measured on the rendered scenes.
         max_level_ratio: f64 = 4.0, [1.0..=100.0], "", "";
+        /// Largest weight of a lobe; a larger one is no gloss of a surface with an albedo, but an error of the light. Source: what dielectrics reflect; generated scenes and recordings.
+        max_weight: f64 = 0.3, [0.0..=100.0], "", "";
         /// Smallest share of a lit colour that is diffuse.
         min_matte_share: f64 = 0.1, [0.0..=1.0], "", "";
         /// Largest number of passes of cleaning and factorising.

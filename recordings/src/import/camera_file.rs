@@ -2,6 +2,7 @@
 
 use crate::error::{Error, Result};
 use crate::import::lists::read_text;
+use crate::shoulder::MAX_STRENGTH;
 use crate::types::{CameraModel, Distortion, Intrinsics, Pose, Response, Sensor};
 use glam::{DQuat, DVec3};
 use std::path::Path;
@@ -14,6 +15,7 @@ const DISTORTION: &str = "k1 k2 p1 p2 k3";
 const DISTORTION_SHORT: &str = "k1 k2 p1 p2";
 const OFFSET: &str = "depth_to_color_offset_ns";
 const GAMMA: &str = "response gamma";
+const SHOULDER: &str = "response shoulder";
 const DEPTH_CAMERA: &str = "depth camera fx fy cx cy width height k1 k2 p1 p2 k3";
 const COLOR_FROM_DEPTH: &str = "color_from_depth tx ty tz qx qy qz qw";
 
@@ -70,6 +72,8 @@ impl CameraFile {
             self.depth_to_color_offset_ns = v[0] as i64;
         } else if let Some(v) = named(GAMMA)? {
             self.response = if v[0] == 1.0 { Response::Linear } else { Response::Gamma(v[0]) };
+        } else if let Some(v) = named(SHOULDER)? {
+            self.response = Response::Shoulder(v[0]);
         } else if let Some(v) = named(COLOR_FROM_DEPTH)? {
             self.color_from_depth = Some(v);
         }
@@ -85,6 +89,11 @@ impl CameraFile {
             && gamma <= 0.0
         {
             return Err(format!("response gamma {gamma} is not positive"));
+        }
+        if let Response::Shoulder(strength) = self.response
+            && !(0.0..=MAX_STRENGTH).contains(&strength)
+        {
+            return Err(format!("response shoulder {strength} is not between 0 and {MAX_STRENGTH}"));
         }
         let color = CameraModel { intrinsics: intrinsics(&v[..4], v[5], v[6])?, distortion: self.distortion };
         // Depth is registered to the ideal, undistorted colour camera unless its own camera is given.
@@ -147,7 +156,7 @@ fn named_numbers(comment: &str, names: &str) -> Option<std::result::Result<Vec<f
         return None;
     }
     let count = match names {
-        OFFSET | GAMMA => 1,
+        OFFSET | GAMMA | SHOULDER => 1,
         DEPTH_CAMERA => 11,
         COLOR_FROM_DEPTH => 7,
         _ => names.split(' ').count(),
@@ -200,6 +209,7 @@ pub(crate) fn format_camera(sensor: &Sensor) -> String {
         Response::Srgb => {}
         Response::Linear => text += &format!("# {GAMMA} = 1\n"),
         Response::Gamma(gamma) => text += &format!("# {GAMMA} = {gamma}\n"),
+        Response::Shoulder(strength) => text += &format!("# {SHOULDER} = {strength}\n"),
     }
     text
 }
@@ -241,9 +251,11 @@ mod tests {
         sensor.depth.intrinsics = Intrinsics { width: 320, height: 240, fx: 290.0, fy: 291.5, cx: 160.25, cy: 120.0 };
         sensor.depth.distortion.k1 = 0.01;
         sensor.color_from_depth = Pose::new(DQuat::from_xyzw(0.01, 0.02, 0.0, 1.0), DVec3::new(0.025, 0.0, 1e-4));
-        sensor.response = Response::Linear;
-        std::fs::write(&path, format_camera(&sensor)).unwrap();
-        assert_eq!(read_camera(&path).unwrap(), sensor);
+        for response in [Response::Linear, Response::Shoulder(0.9)] {
+            sensor.response = response;
+            std::fs::write(&path, format_camera(&sensor)).unwrap();
+            assert_eq!(read_camera(&path).unwrap(), sensor);
+        }
     }
 
     #[test]
@@ -258,6 +270,7 @@ mod tests {
             "525 525 320 240 5000 640 99999999",
             "-525 525 320 240 5000 640 480",
             "525 525 320 240 5000 640 480\n525 525 320 240 5000 640 480",
+            "525 525 320 240 5000 640 480\n# response shoulder = -1",
             "525 525 320 240 5000 640 480\n# k1 k2 p1 p2 k3 = 1 2 3",
             "525 525 320 240 5000 640 480\n# k1 k2 p1 p2 k3 = 1 2 3 4 inf",
         ] {
