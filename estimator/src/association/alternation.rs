@@ -90,16 +90,21 @@ pub fn associate_within(
     }
     let rules = EligibilityRules::new(config, 1.0);
     let mut again = FREED_AGAIN;
+    let gather = |context: &AssociationContext, images: &[Option<KeyframeImage>], views: &[RefinedView]| {
+        LightField::gather(context, images, views, &rules, Some(rules.last_resort())).0
+    };
     let (field, decisions) = loop {
-        let (field, _) = LightField::gather(context, &pictures.images, &views, &rules, Some(rules.last_resort()));
+        let field = gather(context, &pictures.images, &views);
         // Gains that were found at poses which were off may be far from right.
         let problem = pictures.problem(context, Known::Poses);
         let Exposures { gains, decisions, lens, hazed } = exposure::solve(&field, &problem, &views, config.exposure);
         views.iter_mut().zip(gains).for_each(|(v, g)| v.gain = g);
-        let is_felt = pictures.free(context, lens) && again > 0;
-        again -= u32::from(is_felt);
-        if !left_out.take(hazed, &mut pictures.images) && !is_felt {
-            break (field, decisions);
+        let is_felt = pictures.free(context, lens);
+        let is_asked_again = is_felt && again > 0;
+        again -= u32::from(is_asked_again);
+        if !left_out.take(hazed, &mut pictures.images) && !is_asked_again {
+            // The colours are free of what the gains are free of.
+            break (if is_felt { gather(context, &pictures.images, &views) } else { field }, decisions);
         }
     };
     let Pictures { mut images, mut veils, lens, .. } = pictures;
