@@ -2,7 +2,7 @@
 //! the strength, is one number of the camera. At a = 1 the largest value stands for twice the light that it has in sRGB, and three
 //! quarters of the light of that for 1.3 times as much.
 
-/// Largest strength that is read or looked for.
+/// Largest strength that is read.
 pub const MAX_STRENGTH: f64 = 8.0;
 
 /// Steps of Newton's method; six are enough for the precision of f32 at any strength.

@@ -200,9 +200,13 @@ fn color_groups<'a>(patches: &[&'a Patch]) -> Vec<Vec<&'a Patch>> {
 
 /// Share of the patches' weight that the gains do not explain at a tolerance, 0 to 1.
 pub(super) fn disagreement(patches: &[&Patch], gains: &[[f64; 3]], tolerance: f64) -> f64 {
+    unexplained(patches.iter().map(|p| p.spread(&p.deviations(gains))), tolerance)
+}
+
+/// The same of what the patches deviate by: mean square and weight of each.
+pub(super) fn unexplained(spreads: impl Iterator<Item = (f64, f64)>, tolerance: f64) -> f64 {
     let (mut sum, mut total) = (0.0, 0.0);
-    for p in patches {
-        let (spread, weight) = p.spread(&p.deviations(gains));
+    for (spread, weight) in spreads {
         sum += weight * spread / (spread + tolerance);
         total += weight;
     }

@@ -245,3 +245,33 @@ fn average(
         }
     }
 }
+
+#[cfg(test)]
+impl Patch {
+    /// A grey patch without veils on the axis of the lens, which its keyframes show alike well.
+    pub fn made_up(level: f64, keyframes: Vec<u16>, logs: Vec<[f64; 3]>) -> Self {
+        let n = keyframes.len();
+        Self {
+            keyframes,
+            logs,
+            weights: vec![1.0; n],
+            known: vec![1.0; n],
+            level,
+            levels: [libm::log(level); 3],
+            veils: vec![0.0; n],
+            off_axis: vec![0.0; n],
+            color: Vec3::ZERO,
+            facing: 0,
+        }
+    }
+}
+
+/// Numbers between 0 and 1, the same for every test.
+#[cfg(test)]
+pub fn noise() -> impl FnMut() -> f64 {
+    let mut state = 7_u32;
+    move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(state >> 8) / f64::from(1 << 24)
+    }
+}

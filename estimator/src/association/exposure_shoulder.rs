@@ -3,7 +3,7 @@
 //!
 //! Deviations are judged in what the pictures show, not in light: a curve that stretches bright values would stretch their deviations too.
 
-use crate::association::exposure::{LogGains, Solver};
+use crate::association::exposure::{LogGains, Solver, unexplained};
 use crate::association::exposure_patches::Patch;
 use crate::association::observations::Lens;
 use recordings::decision::Decision;
@@ -128,18 +128,17 @@ impl<'a> Bending<'a> {
         self.bend(patches, strength);
         let half: Vec<&Patch> = patches.iter().skip(self.first).step_by(2).collect();
         let gains = self.solver.refine(&half, self.start.clone(), false);
-        let of_half = |first: usize| {
-            let (mut sum, mut total) = (0.0, 0.0);
-            for (p, decoded) in patches.iter().zip(&self.decoded).skip(first).step_by(2) {
-                let mut deviations = p.deviations(&gains);
-                for (d, x) in deviations.iter_mut().flatten().zip(decoded.iter().flatten()) {
-                    *d /= slope(*x, strength);
-                }
-                let (spread, weight) = p.spread(&deviations);
-                sum += weight * spread / (spread + self.tolerance);
-                total += weight;
+        // Deviations of what the pictures show.
+        let shown = |(p, decoded): (&Patch, &Vec<[f64; 3]>)| {
+            let mut deviations = p.deviations(&gains);
+            for (d, x) in deviations.iter_mut().flatten().zip(decoded.iter().flatten()) {
+                *d /= slope(*x, strength);
             }
-            sum / f64::max(total, 1e-12)
+            p.spread(&deviations)
+        };
+        let of_half = |first: usize| {
+            let half = patches.iter().zip(&self.decoded).skip(first).step_by(2);
+            unexplained(half.map(shown), self.tolerance)
         };
         Disagreement { strength, own: of_half(self.first), held_out: of_half(1 - self.first) }
     }
@@ -154,38 +153,24 @@ fn is_falling(straight: &Disagreement, tried: &[Disagreement]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::exposure_patches::noise;
     use firmware_config::tuning::ExposureTuning;
-    use glam::Vec3;
 
     const KEYFRAMES: usize = 6;
     const LEVEL: f64 = 0.2;
 
     /// 200 coloured patches that six keyframes of other exposures show with noise, decoded as sRGB; clipped ones are left out.
     fn patches(strength: f64) -> Vec<Patch> {
-        let mut state = 7_u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            f64::from(state >> 8) / f64::from(1 << 24)
-        };
+        let mut random = noise();
         let patch = |_| {
             let paint: [f64; 3] = std::array::from_fn(|_| 0.05 + 0.6 * random());
             let shown = |k: usize, noise: f64| {
                 paint.map(|p| compressed(p * GAINS[k] * libm::exp(0.06 * (noise - 0.5)), strength))
             };
-            let all: Vec<(u16, [f64; 3])> = (0..KEYFRAMES).map(|k| (k as u16, shown(k, random()))).collect();
-            let seen: Vec<(u16, [f64; 3])> = all.into_iter().filter(|(_, x)| x.iter().all(|x| *x < 0.95)).collect();
-            Patch {
-                keyframes: seen.iter().map(|(k, _)| *k).collect(),
-                logs: seen.iter().map(|(_, x)| x.map(|x| libm::log(x / LEVEL))).collect(),
-                weights: vec![1.0; seen.len()],
-                known: vec![1.0; seen.len()],
-                level: LEVEL,
-                levels: [libm::log(LEVEL); 3],
-                veils: vec![0.0; seen.len()],
-                off_axis: vec![0.5; seen.len()],
-                color: Vec3::ZERO,
-                facing: 0,
-            }
+            let all = (0..KEYFRAMES).map(|k| (k as u16, shown(k, random())));
+            let seen = all.filter(|(_, x)| x.iter().all(|x| *x < 0.95));
+            let (keyframes, logs) = seen.map(|(k, x)| (k, x.map(|x| libm::log(x / LEVEL)))).unzip();
+            Patch::made_up(LEVEL, keyframes, logs)
         };
         (0..200).map(patch).collect()
     }

@@ -92,34 +92,20 @@ fn brighten(patches: &mut [Patch], strength: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::association::exposure_patches::noise;
     use firmware_config::tuning::ExposureTuning;
-    use glam::Vec3;
 
     const KEYFRAMES: usize = 6;
 
     /// 120 patches that six keyframes show at different places of their pictures, with noise, gains, and a vignetting of which the
     /// values are not free.
     fn patches(strength: f64) -> Vec<Patch> {
-        let mut state = 7_u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            f64::from(state >> 8) / f64::from(1 << 24)
-        };
+        let mut random = noise();
         let patch = |_| {
             let (paint, off_axis) = (random(), (0..KEYFRAMES).map(|_| random()).collect::<Vec<_>>());
             let log = |(k, x): (usize, &f64)| [paint + 0.1 * k as f64 - strength * x + 0.04 * (random() - 0.5); 3];
-            Patch {
-                keyframes: (0..KEYFRAMES as u16).collect(),
-                logs: off_axis.iter().enumerate().map(log).collect(),
-                weights: vec![1.0; KEYFRAMES],
-                known: vec![1.0; KEYFRAMES],
-                level: 0.1,
-                levels: [libm::log(0.1); 3],
-                veils: vec![0.0; KEYFRAMES],
-                off_axis,
-                color: Vec3::ZERO,
-                facing: 0,
-            }
+            let logs = off_axis.iter().enumerate().map(log).collect();
+            Patch { off_axis, ..Patch::made_up(0.1, (0..KEYFRAMES as u16).collect(), logs) }
         };
         (0..120).map(patch).collect()
     }

@@ -149,7 +149,6 @@ fn fit(shown: &[Shown], with_veil: bool) -> Fit {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     /// What the last of eight keyframes shows of 60 patches of many colours, by the radiance and number of the patch; the others show the
     /// radiance itself.
@@ -157,18 +156,9 @@ mod tests {
         let patch = |p: usize| {
             let radiance = 0.02 * libm::exp(0.35 * (p % 10) as f64);
             let value = |k: u16| if k == 7 { last(radiance, p) } else { radiance };
-            Patch {
-                keyframes: (0..8).collect(),
-                logs: (0..8).map(|k| [libm::log(value(k) / 0.1); 3]).collect(),
-                weights: vec![1.0; 8],
-                known: vec![1.0; 8],
-                level: 0.1,
-                levels: [libm::log(0.1); 3],
-                veils: (0..8).map(|k| if k == 7 { 0.3 + 0.01 * (p / 10) as f64 } else { 0.0 }).collect(),
-                off_axis: vec![0.0; 8],
-                color: Vec3::ZERO,
-                facing: 0,
-            }
+            let logs = (0..8).map(|k| [libm::log(value(k) / 0.1); 3]).collect();
+            let veils = (0..8).map(|k| if k == 7 { 0.3 + 0.01 * (p / 10) as f64 } else { 0.0 }).collect();
+            Patch { veils, ..Patch::made_up(0.1, (0..8).collect(), logs) }
         };
         (0..60).map(patch).collect()
     }
