@@ -34,36 +34,15 @@ pub(super) struct Hits<'a> {
     pub corners: &'a mut Vec<u32>,
 }
 
-/// Directions gathered until there are enough for the vectorised evaluation.
-struct Lanes {
-    directions: [[f32; sh::LANES]; 3],
-    weight: [f32; sh::LANES],
-    filled: usize,
-}
-
-impl Lanes {
-    fn new() -> Self {
-        Self { directions: [[0.0; sh::LANES]; 3], weight: [0.0; sh::LANES], filled: 0 }
-    }
-
-    #[inline(always)]
-    fn push(&mut self, d: Vec3, sum: &mut [f32]) {
-        let i = self.filled;
-        (self.directions[0][i], self.directions[1][i], self.directions[2][i]) = (d.x, d.y, d.z);
-        self.weight[i] = 1.0;
-        self.filled += 1;
-        if self.filled == sh::LANES {
-            self.flush(sum);
+/// Adds Y_k of these directions to `sum`: `[k]`.
+#[inline(always)]
+fn add(directions: &[Vec3], sum: &mut [f32]) {
+    for some in directions.chunks(sh::LANES) {
+        let (mut lanes, mut weight) = ([[0.0; sh::LANES]; 3], [0.0; sh::LANES]);
+        for (i, d) in some.iter().enumerate() {
+            (lanes[0][i], lanes[1][i], lanes[2][i], weight[i]) = (d.x, d.y, d.z, 1.0);
         }
-    }
-
-    #[inline(always)]
-    fn flush(&mut self, sum: &mut [f32]) {
-        if self.filled > 0 {
-            self.weight[self.filled..].fill(0.0);
-            sh::add_lanes(&self.directions, &self.weight, sum);
-            self.filled = 0;
-        }
+        sh::add_lanes(&lanes, &weight, sum);
     }
 }
 
@@ -102,20 +81,15 @@ impl Hot for Trace<'_, '_> {
             return (0.0, 0.0);
         }
         let origin = scene.offset_origin(position, normal);
-        // Halves of the point set, whose difference estimates the error of the whole. Two sums each: escaping rays, hits.
-        let mut sums = [[[0.0f32; sh::MAX_COEFFICIENTS]; 2]; 2];
-        let mut lanes = [[Lanes::new(), Lanes::new()], [Lanes::new(), Lanes::new()]];
-        let mut count = [0u32; 2];
-        let k = row.len();
+        // Rays that escape and rays that hit, of either half of the point set: the difference of the halves estimates the error of the whole.
+        let mut sides: [[Vec<Vec3>; 2]; 2] = Default::default();
         directions.about(vertex as u32, normal, range.start as usize..range.end as usize, |index, d| {
             let half = usize::from(2 * (index - range.start as usize) >= rays as usize);
             // What blocks a ray is asked only where its hit is kept.
             let keeps = index < hits.rays;
             let hit = if keeps { scene.closest_hit(origin, d) } else { None };
             let blocked = hit.is_some() || (!keeps && scene.occluded(origin, d));
-            let side = usize::from(blocked);
-            count[side] += 1;
-            lanes[half][side].push(d, &mut sums[half][side][..k]);
+            sides[usize::from(blocked)][half].push(d);
             if let Some(hit) = hit {
                 let t = mesh.triangles[hit.triangle as usize];
                 let [a, b, c] = t.map(|i| mesh.normals[i as usize]);
@@ -133,27 +107,27 @@ impl Hot for Trace<'_, '_> {
                 }
             }
         });
-        for half in 0..2 {
-            for side in 0..2 {
-                lanes[half][side].flush(&mut sums[half][side][..k]);
-            }
-        }
         // Eq. (8): t = 1/N Σ over escaping rays. Where most rays escape, the closed form minus the hits estimates the same
         // integral with less variance.
-        let subtract = count[1] <= count[0];
-        let side = usize::from(subtract);
+        let [escaping, blocked] = &sides;
+        let count = |side: &[Vec<Vec3>; 2]| side[0].len() + side[1].len();
+        let subtract = count(blocked) <= count(escaping);
+        let k = row.len();
+        let mut sums = [[0.0f32; sh::MAX_COEFFICIENTS]; 2];
+        let halves = if subtract { blocked } else { escaping };
+        halves.iter().zip(&mut sums).for_each(|(half, sum)| add(half, &mut sum[..k]));
         let scale = 1.0 / rays as f32;
         if subtract {
             cosine_lobe(normal, row);
         }
         let mut difference = 0.0f64;
         for i in 0..k {
-            let [a, b] = [sums[0][side][i], sums[1][side][i]];
+            let [a, b] = [sums[0][i], sums[1][i]];
             row[i] = if subtract { row[i] - (a + b) * scale } else { (a + b) * scale };
             if i < INDIRECT {
                 difference += f64::from((a - b) * scale).powi(2);
             }
         }
-        (count[1] as f32 * scale, (HALVES_TO_WHOLE * libm::sqrt(difference)) as f32)
+        (count(blocked) as f32 * scale, (HALVES_TO_WHOLE * libm::sqrt(difference)) as f32)
     }
 }
