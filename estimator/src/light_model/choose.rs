@@ -10,7 +10,7 @@ use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
 use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, segment_albedo};
 use crate::light_model::lamps::{self, Sphere};
-use crate::light_model::samples::Samples;
+use crate::light_model::samples::{FOLDS, Samples};
 use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
@@ -33,7 +33,7 @@ const REGULARISATIONS: [f64; 3] = [1e-1, 1e-2, 1e-3];
 pub(super) const WORTHWHILE: f64 = 0.01;
 /// A near model must leave less than this share of what distant light leaves in the means of patches. Gloss, which depends on where
 /// the camera is, can be explained by lamps in part; lamps explain more.
-const NEAR_LEAVES: f64 = 0.65;
+const NEAR_LEAVES: f64 = 0.73;
 /// Once all else was tried, a near model stands beside a smooth function that explains more if it leaves less than this share of what
 /// no model leaves. A smooth function interpolates: what differs from segment to segment it takes for light as well as for paint.
 const LEAVES_OF_NONE: f64 = 0.35;
@@ -123,26 +123,28 @@ pub fn choose(
 ) -> Chosen {
     let mut choice = Choice::new(scene, &found.transfer.traced, options.tuning);
     let given = choice.samples.irradiance(found);
-    let distant = held_out::errors(&choice.samples, |n| given[n]);
+    let distant = choice.cross_validated(|_| given.clone());
     let samples = choice.samples.len() as u32;
-    let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant) }];
+    let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant.blocks) }];
     let (mut near, mut sunny, mut near_light, mut division) = (None, None, None, None);
-    let smooth = Smooth::fit(scene.mesh, &choice.samples);
-    let error = |irradiance: &dyn Fn(usize) -> [f64; 3]| mean(&held_out::errors(&choice.samples, irradiance));
-    let flat = error(&|_| [1.0; 3]);
-    let smoothed = error(&|n| smooth.irradiance(scene.mesh, choice.samples.vertex[n] as usize));
+    let flat = mean(&choice.cross_validated(|c| vec![[1.0; 3]; c.samples.len()]).blocks);
+    let smoothed = mean(&choice.cross_validated(Choice::smooth).blocks);
     let unexplained = smoothed.min(flat);
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
-    let questioned = mean(&distant) > UNQUESTIONED.max(PLAIN * unexplained) && distant.len() > 1;
+    let questioned = mean(&distant.blocks) > UNQUESTIONED.max(PLAIN * unexplained) && distant.blocks.len() > 1;
     let mut searches = 0;
     if questioned && may_search() {
         searches += 1;
         choice.observe();
         let best = choice.regularised(&choice.grown(&mut ladder));
+        let of_best = choice.cross_validated(|c| c.solved_like(&best).solved.irradiance);
+        // While it grew, one fold judged it.
+        ladder.pop_if(|rung| rung.model == best.kind());
+        ladder.push(LightRung { model: best.kind(), held_out: mean(&of_best.blocks) });
         let is_near;
-        (is_near, near_light) = choice.is_near(&best, unexplained, &distant, &given);
+        (is_near, near_light) = is_near_light(&of_best, unexplained, &distant);
         let is_distant = !is_near || best.kind() == LightModel::Secondary;
-        let least = if is_near { mean(&best.blocks) } else { mean(&distant) };
+        let least = mean(if is_near { &of_best.blocks } else { &distant.blocks });
         let stands = scene.unseen_radiates && is_near && least < LEAVES_OF_NONE * flat;
         let is_unexplained = !stands && least > EXPLAINS && unexplained < least * (1.0 - LEAST_GAIN);
         // A near model that is clearly better than a smooth function has the segments right.
@@ -155,12 +157,13 @@ pub fn choose(
         if may_shine && let Some((answer, blocks)) = choice.sunny(found, options) {
             ladder.push(LightRung { model: LightModel::Lamps, held_out: mean(&blocks) });
             let explains = unexplained >= mean(&blocks) * (1.0 - LEAST_GAIN);
-            let is_better = is_better(&blocks, &distant) && mean(&blocks) <= least;
+            let is_better = is_better(&blocks, &distant.blocks) && mean(&blocks) <= least;
             sunny = (explains && is_better).then_some(answer);
         }
         if sunny.is_some() {
             near_light = near_light.filter(|_| !is_near);
         } else if is_unexplained {
+            let smooth = Smooth::fit(scene.mesh, &choice.samples);
             let smooth = |i: usize| if flat < smoothed { [1.0; 3] } else { smooth.irradiance(scene.mesh, i) };
             near = Some(choice.unexplained(smooth, found));
         } else if is_near && division.is_none() {
@@ -173,6 +176,29 @@ pub fn choose(
     Chosen { near, sunny, decisions, searches, division }
 }
 
+/// What an answer leaves unexplained of surface that was held out from it.
+pub(super) struct CrossValidated {
+    /// Sample by sample.
+    pub blocks: Blocks,
+    /// Of the means of patches.
+    pub patches: Blocks,
+}
+
+/// True if a near model takes the place of distant light, with its evidence where that is asked for: it explains more than a smooth function
+/// that would replace distant light, or means of patches far better than distant light.
+fn is_near_light(near: &CrossValidated, unexplained: f64, distant: &CrossValidated) -> (bool, Option<Decision>) {
+    let replaced = unexplained < mean(&distant.blocks) * (1.0 - LEAST_GAIN);
+    if replaced && mean(&near.blocks) < unexplained {
+        return (true, None);
+    }
+    if !is_better(&near.blocks, &distant.blocks) {
+        return (false, None);
+    }
+    let (of_distant, of_near) = (mean(&distant.patches), mean(&near.patches));
+    let accepted = of_near < NEAR_LEAVES * of_distant;
+    (accepted, Some(Decision::NearLight { accepted, distant: of_distant, near: of_near, most: NEAR_LEAVES }))
+}
+
 /// A model of light: lamps, emitting pieces, and what they were solved to.
 #[derive(Clone)]
 pub(super) struct Model {
@@ -180,6 +206,8 @@ pub(super) struct Model {
     pub lamps: Vec<Sphere>,
     /// Emitting pieces, by number.
     pub emitters: Vec<usize>,
+    /// Weight of the regularisation towards the mean radiance.
+    pub regularisation: f64,
     /// Light and albedos.
     pub solved: Solved,
     /// Errors of held-out blocks.
@@ -299,33 +327,29 @@ impl<'a> Choice<'a> {
         self.piece_columns = self.pieces.iter().map(column).collect();
     }
 
-    /// True if a near model takes the place of distant light, with its evidence where that is asked for: it explains more than a smooth
-    /// function that would replace distant light, or means of patches far better than `distant` of the irradiance `given`, `[sample]`.
-    fn is_near(
-        &self,
-        best: &Model,
-        unexplained: f64,
-        distant: &Blocks,
-        given: &[[f64; 3]],
-    ) -> (bool, Option<Decision>) {
-        let replaced = unexplained < mean(distant) * (1.0 - LEAST_GAIN);
-        if replaced && mean(&best.blocks) < unexplained {
-            return (true, None);
-        }
-        if !is_better(&best.blocks, distant) {
-            return (false, None);
-        }
-        let patches = self.samples.patches();
-        let of_distant = self.patch_error(&patches, |n| given[n]);
-        let of_near = self.patch_error(&patches, |n| best.solved.irradiance[n]);
-        let accepted = of_near < NEAR_LEAVES * of_distant;
-        (accepted, Some(Decision::NearLight { accepted, distant: of_distant, near: of_near, most: NEAR_LEAVES }))
+    /// Errors of all of the surface, each fold of its blocks held out from the answer, `[sample]`, that `of` makes of the rest.
+    pub fn cross_validated(&self, of: impl Fn(&Self) -> Vec<[f64; 3]> + Sync) -> CrossValidated {
+        let of_fold = |fold: u32| {
+            let choice = self.with_samples(self.samples.in_fold(fold));
+            let irradiance = of(&choice);
+            let patches = choice.samples.patches();
+            let means = choice.samples.patch_means(|n| irradiance[n]);
+            (held_out::errors(&choice.samples, |n| irradiance[n]), held_out::errors(&patches, |p| means[p]))
+        };
+        let folds: Vec<(Blocks, Blocks)> = (0..FOLDS).into_par_iter().map(of_fold).collect();
+        let (blocks, patches): (Vec<Blocks>, Vec<Blocks>) = folds.into_iter().unzip();
+        CrossValidated { blocks: blocks.concat(), patches: patches.concat() }
     }
 
-    /// Held-out error of the means of patches, of an irradiance that is given at every sample.
-    fn patch_error(&self, patches: &Samples, irradiance: impl Fn(usize) -> [f64; 3]) -> f64 {
-        let means = self.samples.patch_means(irradiance);
-        mean(&held_out::errors(patches, |p| means[p]))
+    /// What a smooth function of position and normal says of the samples.
+    fn smooth(&self) -> Vec<[f64; 3]> {
+        let smooth = Smooth::fit(self.scene.mesh, &self.samples);
+        self.samples.vertex.iter().map(|i| smooth.irradiance(self.scene.mesh, *i as usize)).collect()
+    }
+
+    /// The model with the sources and the regularisation of another.
+    fn solved_like(&self, model: &Model) -> Model {
+        self.solved(&model.emitters, &model.lamps, model.regularisation)
     }
 
     /// Those of some pieces that pictures show.
@@ -382,12 +406,16 @@ impl<'a> Choice<'a> {
     pub fn solved(&self, emitters: &[usize], lamps: &[Sphere], regularisation: f64) -> Model {
         let solved = solve::solve(&self.columns(self.bands(), emitters, lamps).rows(&self.samples), regularisation);
         let blocks = held_out::errors(&self.samples, |n| solved.irradiance[n]);
-        Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), solved, blocks }
+        Model { lamps: lamps.to_vec(), emitters: emitters.to_vec(), regularisation, solved, blocks }
     }
 
     /// The same choice with other segments.
     fn in_segments(&self, division: &Division) -> Self {
-        let samples = self.samples.in_segments(&division.part, division.of.len());
+        self.with_samples(self.samples.in_segments(&division.part, division.of.len()))
+    }
+
+    /// The same choice with samples that differ in segments or folds.
+    fn with_samples(&self, samples: Samples) -> Self {
         let (pieces, piece_columns, radiance) =
             (self.pieces.clone(), self.piece_columns.clone(), self.radiance.clone());
         // Of the same vertices.

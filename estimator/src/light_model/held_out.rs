@@ -28,7 +28,7 @@ pub fn errors(samples: &Samples, irradiance: impl Fn(usize) -> [f64; 3]) -> Bloc
     let albedo = segment_albedo(samples, &irradiance);
     let mut sums = BTreeMap::<u32, (f64, f64)>::new();
     for n in 0..samples.len() {
-        if let Some(block) = samples.held_out[n] {
+        if let Some(block) = samples.held_out(n) {
             let error = relative_error(samples, n, &albedo[samples.segment[n] as usize], &irradiance(n));
             let sum = sums.entry(block).or_default();
             sum.0 += samples.weight[n] * error;
@@ -45,8 +45,7 @@ pub fn segment_albedo(samples: &Samples, irradiance: &impl Fn(usize) -> [f64; 3]
         let ratio = [0, 1, 2].map(|c| samples.color[n][c] / e[c].max(1e-30));
         (samples.segment[n], ratio, samples.weight[n])
     };
-    let fitted = (0..samples.len()).filter(|n| samples.held_out[*n].is_none());
-    segment_medians(samples.segments, fitted.map(ratio))
+    segment_medians(samples.segments, samples.fitted().map(ratio))
 }
 
 /// |f − a E| relative to f, but not below a share of the segment's median; mean over the channels, capped.
@@ -60,6 +59,7 @@ fn relative_error(samples: &Samples, n: usize, albedo: &[f64; 3], irradiance: &[
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light_model::samples::FOLDS;
 
     /// Forty patches of 25 samples in one segment, a chequered print on each; every fourth is held out. Light falls off from the first
     /// to the last.
@@ -72,7 +72,8 @@ mod tests {
             vertex: (0..count as u32).collect(),
             segment: vec![0; count],
             weight: vec![1.0; count],
-            held_out: (0..count).map(|n| (n / each).is_multiple_of(4).then_some((n / each) as u32)).collect(),
+            block: (0..count).map(|n| (n / each) as u32).map(|patch| FOLDS * patch + patch % 4).collect(),
+            fold: 0,
             patch: (0..count).map(|n| (n / each) as u32).collect(),
             color: (0..count).map(|n| light(n).map(|e| paint(n) * e)).collect(),
             segments: 1,
@@ -92,5 +93,14 @@ mod tests {
         let (right, flat) = (of(&light), of(&|_| [1.0; 3]));
         assert!(right.0 > 0.8 * flat.0, "sample by sample the print is most of the error: {} and {}", right.0, flat.0);
         assert!(right.1 < 0.3 * flat.1, "{} and {}", right.1, flat.1);
+    }
+
+    #[test]
+    fn every_sample_is_held_out_in_one_fold() {
+        let (samples, light) = print();
+        let held_out = (0..FOLDS).flat_map(|fold| errors(&samples.in_fold(fold), &light));
+        let (blocks, weights): (Vec<u32>, Vec<f64>) = held_out.map(|(block, _, weight)| (block, weight)).unzip();
+        assert_eq!(blocks.iter().collect::<std::collections::BTreeSet<_>>().len(), blocks.len(), "{blocks:?}");
+        assert_eq!(weights.iter().sum::<f64>(), samples.len() as f64);
     }
 }

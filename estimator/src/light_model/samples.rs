@@ -14,8 +14,8 @@ const SAMPLES: usize = 5_000;
 const SEGMENT_SAMPLES: usize = 40;
 /// Edge of a block of surface that is held out together, as a share of the scene's size.
 const BLOCK: f32 = 0.06;
-/// One block in so many is held out.
-const FOLDS: u32 = 5;
+/// Surface is held out in so many parts, one at a time.
+pub const FOLDS: u32 = 5;
 /// Lit colours count relative to themselves, but not below this share of the segment's median.
 pub const DARK_FLOOR: f64 = 0.15;
 
@@ -28,8 +28,10 @@ pub struct Samples {
     pub segment: Vec<u32>,
     /// Vertices it stands for, times its own weight.
     pub weight: Vec<f64>,
-    /// Block of surface it is held out with, if it is.
-    pub held_out: Vec<Option<u32>>,
+    /// Block of surface that it is in; blocks are held out whole.
+    pub block: Vec<u32>,
+    /// Which of the [`FOLDS`] is held out.
+    pub fold: u32,
     /// Patch of surface it belongs to: what a block has of one segment and one direction of the normal.
     pub patch: Vec<u32>,
     /// Lit colour f.
@@ -71,7 +73,7 @@ impl Samples {
                 let seen = f64::from(colors.lit_weight[i].min(1.0) * vertex_weight[i]);
                 samples.weight.push(stride as f64 * seen);
                 let cell = block.cell(mesh.positions[i]);
-                samples.held_out.push(Blocks::held_out(cell));
+                samples.block.push(Blocks::number(cell));
                 let next = patches.len() as u32;
                 samples.patch.push(*patches.entry((segment, cell.to_array(), facing(mesh.normals[i]))).or_insert(next));
                 samples.color.push(colors.lit_color[i].to_array().map(f64::from));
@@ -90,6 +92,23 @@ impl Samples {
         Self { medians: segment_medians(segments, colors), segment, segments, ..self.clone() }
     }
 
+    /// The same samples with another fold held out.
+    #[must_use]
+    pub fn in_fold(&self, fold: u32) -> Self {
+        Self { fold, ..self.clone() }
+    }
+
+    /// Block of a sample, if it is held out.
+    #[must_use]
+    pub fn held_out(&self, n: usize) -> Option<u32> {
+        (self.block[n] % FOLDS == self.fold).then_some(self.block[n])
+    }
+
+    /// Samples that are not held out, by number.
+    pub fn fitted(&self) -> impl Iterator<Item = usize> {
+        (0..self.len()).filter(|n| self.held_out(*n).is_none())
+    }
+
     /// Some of the samples, by number.
     #[must_use]
     pub fn chosen(&self, numbers: &[usize]) -> Self {
@@ -97,7 +116,8 @@ impl Samples {
             vertex: numbers.iter().map(|n| self.vertex[*n]).collect(),
             segment: numbers.iter().map(|n| self.segment[*n]).collect(),
             weight: numbers.iter().map(|n| self.weight[*n]).collect(),
-            held_out: numbers.iter().map(|n| self.held_out[*n]).collect(),
+            block: numbers.iter().map(|n| self.block[*n]).collect(),
+            fold: self.fold,
             patch: numbers.iter().map(|n| self.patch[*n]).collect(),
             color: numbers.iter().map(|n| self.color[*n]).collect(),
             segments: self.segments,
@@ -163,9 +183,8 @@ impl Blocks {
         ((position - self.origin) / self.edge).floor().as_ivec3()
     }
 
-    fn held_out(cell: IVec3) -> Option<u32> {
-        let block = hash(hash(cell.x as u32, cell.y as u32), cell.z as u32);
-        block.is_multiple_of(FOLDS).then_some(block)
+    fn number(cell: IVec3) -> u32 {
+        hash(hash(cell.x as u32, cell.y as u32), cell.z as u32)
     }
 }
 

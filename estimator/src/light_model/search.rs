@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
     /// mesh for rays.
     #[must_use]
     pub fn new(mesh: &'a Mesh, scene: &'a RayScene, samples: &Samples, columns: &Columns, is_first: bool) -> Self {
-        let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
+        let fitted: Vec<usize> = samples.fitted().collect();
         let (samples, columns) = (samples.chosen(&fitted), columns.chosen(&fitted));
         let rows = columns.rows(&samples);
         let (projection, values) = (Projection::new(rows.coefficients), Values::new(&rows, luminance_f64));

@@ -35,7 +35,7 @@ impl Smooth {
             mean: [0.0; TERMS],
             coefficients: [[0.0; TERMS]; 3],
         };
-        let fitted: Vec<usize> = (0..samples.len()).filter(|n| samples.held_out[*n].is_none()).collect();
+        let fitted: Vec<usize> = samples.fitted().collect();
         let rows: Vec<[f64; TERMS]> = fitted.iter().map(|&n| fit.terms(mesh, samples.vertex[n] as usize)).collect();
         let mut weight = vec![0.0; samples.segments];
         let mut means = vec![[0.0; TERMS + 3]; samples.segments];

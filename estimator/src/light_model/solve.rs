@@ -146,9 +146,9 @@ pub fn solve_channel(rows: &Rows, values: &Values, projection: &Projection, regu
     let Rows { samples, coefficients, columns, shared, .. } = *rows;
     let Values { color, medians, secondary } = values;
     let (count, dim) = (samples.len(), columns + 1);
-    let fitted: Vec<usize> = (0..count).filter(|n| samples.held_out[*n].is_none()).collect();
+    let fitted: Vec<usize> = samples.fitted().collect();
     let total: f64 = fitted.iter().map(|n| samples.weight[*n]).sum();
-    let surface = samples.surface(|n| samples.held_out[n].is_none());
+    let surface = samples.surface(|n| samples.held_out(n).is_none());
     let brightest_median = medians.iter().copied().fold(0.0, f64::max).max(1e-30);
     let mut inverse: Vec<f64> = medians.iter().map(|m| 1.0 / m.max(1e-4 * brightest_median)).collect();
     let mut irradiance = vec![1.0; count];
@@ -396,7 +396,8 @@ mod tests {
             vertex: (0..count).collect(),
             segment: vec![0; count as usize],
             weight: vec![1.0; count as usize],
-            held_out: vec![None; count as usize],
+            block: vec![1; count as usize],
+            fold: 0,
             patch: vec![0; count as usize],
             color: (0..count).map(|n| [0.5 + 0.01 * f64::from(n % 3); 3]).collect(),
             segments: 1,
@@ -434,7 +435,8 @@ mod tests {
             vertex: (0..count).collect(),
             segment: (0..count).map(|n| u32::from(in_corner(n))).collect(),
             weight: vec![1.0; count as usize],
-            held_out: vec![None; count as usize],
+            block: vec![1; count as usize],
+            fold: 0,
             patch: vec![0; count as usize],
             color: (0..count).map(|n| [0.5 * (open(n) + more(n) * reflected(n)); 3]).collect(),
             segments: 2,
