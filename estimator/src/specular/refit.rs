@@ -96,8 +96,8 @@ pub fn refit(
     let mut errors = vec![best.prediction.error()];
     let mut with_more_bands = Vec::new();
     if surface.share(&gloss, &fields.lit_weight) >= LITTLE {
-        errors.extend(refitter.repeat(&mut best, most));
-        best = refitter.more_bands(best, most, &mut with_more_bands);
+        errors.extend(refitter.repeat(&mut best));
+        best = refitter.more_bands(best, &mut with_more_bands);
     }
     if best.prediction.error() > most {
         let decisions = vec![decision(false, Some(without), errors)];
@@ -195,13 +195,10 @@ impl Refitter<'_> {
         Cleaned { found, gloss, prediction, options }
     }
 
-    /// Cleans and factorises again while the prediction improves; not at all where an error above `most` contradicts gloss by more than
-    /// passes change. Returns the error of each trial.
-    fn repeat(&self, best: &mut Cleaned, most: f64) -> Vec<f64> {
+    /// Cleans and factorises again while the prediction improves. A first pass that contradicts gloss has a second one too, which may bear it
+    /// out. Returns the error of each trial.
+    fn repeat(&self, best: &mut Cleaned) -> Vec<f64> {
         let mut errors = Vec::new();
-        if best.prediction.error() > most {
-            return errors;
-        }
         for _ in 1..self.tuning.max_passes {
             let trial = self.cleaned(&best.found, &best.gloss, best.options);
             errors.push(trial.prediction.error());
@@ -217,7 +214,7 @@ impl Refitter<'_> {
     }
 
     /// Tries two bands more, up to the maximum, while they improve the prediction significantly.
-    fn more_bands<'o>(&self, mut best: Cleaned<'o>, most: f64, decisions: &mut Vec<Decision>) -> Cleaned<'o> {
+    fn more_bands<'o>(&self, mut best: Cleaned<'o>, decisions: &mut Vec<Decision>) -> Cleaned<'o> {
         let first = best.options.bands;
         while best.options.bands + 2 <= best.options.max_bands {
             let before = best.options.bands;
@@ -225,7 +222,7 @@ impl Refitter<'_> {
             let options = FactorisationOptions { bands: before + 2, ..best.options };
             let mut trial = self.cleaned(&best.found, &best.gloss, options);
             let mut errors = vec![trial.prediction.error()];
-            errors.extend(self.repeat(&mut trial, most));
+            errors.extend(self.repeat(&mut trial));
             let better = trial.prediction.gain_over(&best.prediction) > self.tuning.min_prediction_gain;
             if better {
                 best = trial;
