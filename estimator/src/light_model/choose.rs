@@ -8,9 +8,11 @@ use crate::factorisation::scale::{self, Fixed, Scaled};
 use crate::factorisation::{Colors, FactorisationOptions, Factorised, SeenBackground, Solution};
 use crate::light_model::division::Division;
 use crate::light_model::emitters::{self, Piece};
-use crate::light_model::held_out::{self, Blocks, LEAST_GAIN, is_better, segment_albedo};
+use crate::light_model::held_out::{
+    self, Blocks, CrossValidated, LEAST_GAIN, cross_validated, is_better, segment_albedo,
+};
 use crate::light_model::lamps::{self, Sphere};
-use crate::light_model::samples::{FOLDS, Samples};
+use crate::light_model::samples::Samples;
 use crate::light_model::secondary;
 use crate::light_model::smooth_fallback::Smooth;
 use crate::light_model::solve::{self, Rows, Solved};
@@ -123,12 +125,12 @@ pub fn choose(
 ) -> Chosen {
     let mut choice = Choice::new(scene, &found.transfer.traced, options.tuning);
     let given = choice.samples.irradiance(found);
-    let distant = choice.cross_validated(|_| given.clone());
+    let distant = cross_validated(&choice.samples, |_| given.clone());
     let samples = choice.samples.len() as u32;
     let mut ladder = vec![LightRung { model: LightModel::Distant, held_out: mean(&distant.blocks) }];
     let (mut near, mut sunny, mut near_light, mut division) = (None, None, None, None);
-    let flat = mean(&choice.cross_validated(|c| vec![[1.0; 3]; c.samples.len()]).blocks);
-    let smoothed = mean(&choice.cross_validated(Choice::smooth).blocks);
+    let flat = mean(&cross_validated(&choice.samples, |s| vec![[1.0; 3]; s.len()]).blocks);
+    let smoothed = mean(&cross_validated(&choice.samples, |s| Smooth::fit(scene.mesh, s).at(scene.mesh, s)).blocks);
     let unexplained = smoothed.min(flat);
     ladder.push(LightRung { model: LightModel::Unexplained, held_out: unexplained });
     let questioned = mean(&distant.blocks) > UNQUESTIONED.max(PLAIN * unexplained) && distant.blocks.len() > 1;
@@ -137,7 +139,9 @@ pub fn choose(
         searches += 1;
         choice.observe();
         let best = choice.regularised(&choice.grown(&mut ladder));
-        let of_best = choice.cross_validated(|c| c.solved_like(&best).solved.irradiance);
+        let columns = choice.columns(choice.bands(), &best.emitters, &best.lamps);
+        let solved = |s: &Samples| solve::solve(&columns.rows(s), best.regularisation);
+        let of_best = cross_validated(&choice.samples, |s| solved(s).irradiance);
         // While it grew, one fold judged it.
         ladder.pop_if(|rung| rung.model == best.kind());
         ladder.push(LightRung { model: best.kind(), held_out: mean(&of_best.blocks) });
@@ -174,14 +178,6 @@ pub fn choose(
     let chosen = near.as_ref().map_or(distant, |n| n.light.model);
     let decisions = near_light.into_iter().chain([Decision::LightModel { chosen, ladder, samples }]).collect();
     Chosen { near, sunny, decisions, searches, division }
-}
-
-/// What an answer leaves unexplained of surface that was held out from it.
-pub(super) struct CrossValidated {
-    /// Sample by sample.
-    pub blocks: Blocks,
-    /// Of the means of patches.
-    pub patches: Blocks,
 }
 
 /// True if a near model takes the place of distant light, with its evidence where that is asked for: it explains more than a smooth function
@@ -327,31 +323,6 @@ impl<'a> Choice<'a> {
         self.piece_columns = self.pieces.iter().map(column).collect();
     }
 
-    /// Errors of all of the surface, each fold of its blocks held out from the answer, `[sample]`, that `of` makes of the rest.
-    pub fn cross_validated(&self, of: impl Fn(&Self) -> Vec<[f64; 3]> + Sync) -> CrossValidated {
-        let of_fold = |fold: u32| {
-            let choice = self.with_samples(self.samples.in_fold(fold));
-            let irradiance = of(&choice);
-            let patches = choice.samples.patches();
-            let means = choice.samples.patch_means(|n| irradiance[n]);
-            (held_out::errors(&choice.samples, |n| irradiance[n]), held_out::errors(&patches, |p| means[p]))
-        };
-        let folds: Vec<(Blocks, Blocks)> = (0..FOLDS).into_par_iter().map(of_fold).collect();
-        let (blocks, patches): (Vec<Blocks>, Vec<Blocks>) = folds.into_iter().unzip();
-        CrossValidated { blocks: blocks.concat(), patches: patches.concat() }
-    }
-
-    /// What a smooth function of position and normal says of the samples.
-    fn smooth(&self) -> Vec<[f64; 3]> {
-        let smooth = Smooth::fit(self.scene.mesh, &self.samples);
-        self.samples.vertex.iter().map(|i| smooth.irradiance(self.scene.mesh, *i as usize)).collect()
-    }
-
-    /// The model with the sources and the regularisation of another.
-    fn solved_like(&self, model: &Model) -> Model {
-        self.solved(&model.emitters, &model.lamps, model.regularisation)
-    }
-
     /// Those of some pieces that pictures show.
     pub fn seen(&self, pieces: &[usize]) -> Vec<usize> {
         pieces.iter().copied().filter(|p| *p < self.unseen).collect()
@@ -411,11 +382,7 @@ impl<'a> Choice<'a> {
 
     /// The same choice with other segments.
     fn in_segments(&self, division: &Division) -> Self {
-        self.with_samples(self.samples.in_segments(&division.part, division.of.len()))
-    }
-
-    /// The same choice with samples that differ in segments or folds.
-    fn with_samples(&self, samples: Samples) -> Self {
+        let samples = self.samples.in_segments(&division.part, division.of.len());
         let (pieces, piece_columns, radiance) =
             (self.pieces.clone(), self.piece_columns.clone(), self.radiance.clone());
         // Of the same vertices.

@@ -1,8 +1,9 @@
 //! How well an irradiance explains the lit colours of surface that was held out.
 
 use crate::factorisation::held_out::{BlockError, mean};
-use crate::light_model::samples::{DARK_FLOOR, Samples};
+use crate::light_model::samples::{DARK_FLOOR, FOLDS, Samples};
 use crate::numerics::robust::segment_medians;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// A richer model must lower the held-out error by this share, and by more than one standard error.
@@ -38,6 +39,27 @@ pub fn errors(samples: &Samples, irradiance: impl Fn(usize) -> [f64; 3]) -> Bloc
     sums.into_iter().map(|(block, (sum, weight))| (block, sum, weight)).collect()
 }
 
+/// What an answer leaves unexplained of surface that was held out from it.
+pub struct CrossValidated {
+    /// Sample by sample.
+    pub blocks: Blocks,
+    /// Of the means of patches.
+    pub patches: Blocks,
+}
+
+/// Errors of all of the surface, each fold of its blocks held out from the irradiance over π, `[sample]`, that `of` makes of the rest.
+pub fn cross_validated(samples: &Samples, of: impl Fn(&Samples) -> Vec<[f64; 3]> + Sync) -> CrossValidated {
+    let of_fold = |fold: u32| {
+        let samples = samples.in_fold(fold);
+        let irradiance = of(&samples);
+        let means = samples.patch_means(|n| irradiance[n]);
+        (errors(&samples, |n| irradiance[n]), errors(&samples.patches(), |p| means[p]))
+    };
+    let folds: Vec<(Blocks, Blocks)> = (0..FOLDS).into_par_iter().map(of_fold).collect();
+    let (blocks, patches): (Vec<Blocks>, Vec<Blocks>) = folds.into_iter().unzip();
+    CrossValidated { blocks: blocks.concat(), patches: patches.concat() }
+}
+
 /// Weighted median of f / E over the samples of each segment that are not held out.
 pub fn segment_albedo(samples: &Samples, irradiance: &impl Fn(usize) -> [f64; 3]) -> Vec<[f64; 3]> {
     let ratio = |n: usize| {
@@ -59,7 +81,6 @@ fn relative_error(samples: &Samples, n: usize, albedo: &[f64; 3], irradiance: &[
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light_model::samples::FOLDS;
 
     /// Forty patches of 25 samples in one segment, a chequered print on each; every fourth is held out. Light falls off from the first
     /// to the last.

@@ -82,6 +82,12 @@ impl Smooth {
         })
     }
 
+    /// The same at the samples: `[sample][channel]`.
+    #[must_use]
+    pub fn at(&self, mesh: &Mesh, samples: &Samples) -> Vec<[f64; 3]> {
+        samples.vertex.iter().map(|i| self.irradiance(mesh, *i as usize)).collect()
+    }
+
     fn terms(&self, mesh: &Mesh, vertex: usize) -> [f64; TERMS] {
         let n = mesh.normals[vertex].to_array().map(f64::from);
         let p = ((mesh.positions[vertex] - self.center) / self.size).to_array().map(f64::from);

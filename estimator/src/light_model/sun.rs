@@ -3,7 +3,7 @@
 use crate::factorisation::{FactorisationOptions, Factorised, directions, factorise};
 use crate::light_model::choose::{Choice, REGULARISATION};
 use crate::light_model::growth::least_held_out;
-use crate::light_model::held_out::{Blocks, is_better};
+use crate::light_model::held_out::{Blocks, cross_validated, is_better};
 use crate::light_model::lamps::{self, Sphere};
 use crate::light_model::samples;
 use crate::numerics::cielab::luminance_f64;
@@ -51,7 +51,7 @@ impl Choice<'_> {
             return None;
         }
         let irradiance = self.samples.irradiance(&sunny);
-        Some((sunny, self.cross_validated(|_| irradiance.clone()).blocks))
+        Some((sunny, cross_validated(&self.samples, |_| irradiance.clone()).blocks))
     }
 
     /// A lamp at infinity with its transfer. Where its coefficient is 1, it is as bright as one of [`directions`] of that radiance.
