@@ -23,7 +23,7 @@ const CUT_SHARE: f64 = 1e-3;
 /// Variance of the blur of lens and interpolation along each axis, pixels².
 const BLUR_PX2: f32 = 0.4;
 /// More than this share of a texel's difference from its neighbours is not put back: noise would be.
-const MOST_LOST: f32 = 0.65;
+const MOST_LOST: f32 = 0.9;
 /// Rings of empty texels around the charts that take their mean colour, for coarse mipmaps and the blocks of JPEG.
 const FILL_RINGS: usize = 8;
 

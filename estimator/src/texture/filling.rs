@@ -13,8 +13,8 @@ const MAX_RATIO: f32 = 8.0;
 /// Smallest share of a texel's radiance that is left when gloss is taken off.
 const MIN_MATTE: f32 = 0.05;
 /// A keyframe with less than this share of the weight of the best one that shows all of a triangle is asked for its texels only where the
-/// others are clipped or show nothing: weights are raised to the fourth power.
-const HARDLY: f32 = 0.5;
+/// others are clipped or show nothing.
+const HARDLY: f32 = 0.35;
 /// Texels along each side of a tile.
 const TILE: usize = 32;
 

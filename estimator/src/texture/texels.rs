@@ -6,8 +6,8 @@ use glam::Vec3;
 /// Difference of square roots of light, relative to the square root of the texel's, at which a view counts a quarter: far above
 /// noise and gloss, below what a moving or misplaced thing makes.
 const OUTLIER: f32 = 0.35;
-/// Largest power that is taken by products.
-const MOST_PRODUCTS: u32 = 8;
+/// Largest power that is taken by products, in halves.
+const MOST_HALVES: u32 = 16;
 /// Rounds of reweighting.
 const ROUNDS: usize = 2;
 
@@ -38,11 +38,12 @@ pub fn blend(samples: &mut Vec<ViewSample>, power: f32) -> Option<Vec3> {
     Some(color)
 }
 
-/// x to a power: a small whole one by products, which are many times as fast.
+/// x to a power: a small multiple of a half by products, which are many times as fast.
 fn raised(x: f32, power: f32) -> f32 {
-    let whole = power as u32;
-    if whole as f32 == power && whole <= MOST_PRODUCTS {
-        (0..whole).fold(1.0, |p, _| p * x)
+    let halves = (2.0 * power) as u32;
+    if halves as f32 == 2.0 * power && halves <= MOST_HALVES {
+        let root = if halves % 2 == 1 { x.sqrt() } else { 1.0 };
+        (0..halves / 2).fold(root, |p, _| p * x)
     } else {
         libm::powf(x, power)
     }

@@ -24,7 +24,7 @@ section! {
         /// Weights of the views fall to zero over this distance from the border of the picture.
         border_px: f64 = 40.0, [1.0..=1000.0], "px", "";
         /// The weights are raised to this power: high powers keep the best view alone, which is sharp, low ones the mean, which has less noise.
-        weight_power: f64 = 4.0, [0.0..=16.0], "", "";
+        weight_power: f64 = 1.5, [0.0..=16.0], "", "";
         /// Quality of the stored picture.
         jpeg_quality: u32 = 92, [50..=100], "", "";
     }
