@@ -56,7 +56,7 @@ impl<'a> Evidence<'a> {
 /// a_i = f_i / E_i, regularised towards the segment's albedo where E_i is small or uncertain: the posterior mean of log a_i
 /// with the segment's spread as prior and the errors of f_i and E_i as likelihood. What spreads plain surfaces is error of the
 /// light and the colours, not paint: a segment's own spread of albedo is what exceeds it, and a patch may have more
-/// ([`paint::of_patch`]). `segment_albedo` is `[segment][channel]`; its scale is not fixed yet, nor is that of the answer.
+/// ([`paint::of_patches`]). `segment_albedo` is `[segment][channel]`; its scale is not fixed yet, nor is that of the answer.
 #[must_use]
 pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &FactorisationTuning) -> Detail {
     let &Evidence { colors, irradiance, transfer_error, modelled } = evidence;
@@ -76,6 +76,21 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
     let unexplained = plain_spread(&spreads, tuning);
     let texture = |s: usize| (spreads[s].deviation * spreads[s].deviation - unexplained * unexplained).max(0.0);
     let brightness = medians(evidence, segment_albedo.len());
+    let variance: Vec<f64> = (0..count)
+        .into_par_iter()
+        .map(|i| {
+            let own = f64::from(irradiance[i].element_sum());
+            let median = brightness.get(colors.segment[i] as usize).copied().unwrap_or(0.0);
+            let light_error = tuning.light_error / (own / median.max(1e-30)).clamp(1e-3, 1.0);
+            let seen = counted(colors.lit_weight, colors.reliability, i);
+            let color_error = tuning.color_error / libm::sqrt(seen.max(0.05));
+            unexplained * unexplained
+                + light_error * light_error
+                + color_error * color_error
+                + f64::from(transfer_error[i] * transfer_error[i])
+        })
+        .collect();
+    let patches = if modelled { paint::of_patches(&logs, &variance, colors) } else { vec![0.0; count] };
     let vector = |a: [f64; 3]| Vec3::from_array(a.map(|x| x as f32));
     let each: Vec<(Vec3, f32, f32)> = (0..count)
         .into_par_iter()
@@ -85,16 +100,8 @@ pub fn detail(evidence: &Evidence, segment_albedo: &[[f64; 3]], tuning: &Factori
             let Some(log) = logs[i] else {
                 return (vector(base), 0.0, 0.0);
             };
-            let relative_light = f64::from(irradiance[i].element_sum()) / brightness[segment].max(1e-30);
-            let light_error = tuning.light_error / relative_light.clamp(1e-3, 1.0);
-            let seen = counted(colors.lit_weight, colors.reliability, i);
-            let color_error = tuning.color_error / libm::sqrt(seen.max(0.05));
-            let variance = unexplained * unexplained
-                + light_error * light_error
-                + color_error * color_error
-                + f64::from(transfer_error[i] * transfer_error[i]);
-            let patch = if modelled { paint::of_patch(i, &logs, variance, colors) } else { 0.0 };
-            let paint = texture(segment).max(patch);
+            let (variance, seen) = (variance[i], counted(colors.lit_weight, colors.reliability, i));
+            let paint = texture(segment).max(patches[i]);
             let detail_share = paint / (paint + variance);
             let albedo = [0, 1, 2].map(|c| base[c] * libm::exp((detail_share * log[c]).clamp(-3.0, 3.0)));
             (
