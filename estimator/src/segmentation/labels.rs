@@ -28,9 +28,15 @@ pub fn drop_small_components(labels: &mut [u32], first: u32, min_size: u32) {
     }
 }
 
-/// Spreads labels breadth first to vertices without one; vertices that no label reaches share one new label.
+/// Spreads labels to vertices without one; vertices that no label reaches share one new label.
 pub fn spread(graph: &Graph, labels: &mut [u32]) {
     let rest = label_count(labels);
+    flood(graph, labels);
+    labels.iter_mut().filter(|l| **l == UNLABELLED).for_each(|l| *l = rest);
+}
+
+/// Spreads labels breadth first to vertices without one, as far as edges lead.
+pub fn flood(graph: &Graph, labels: &mut [u32]) {
     let mut queue: VecDeque<u32> = (0..labels.len() as u32).filter(|&i| labels[i as usize] != UNLABELLED).collect();
     while let Some(i) = queue.pop_front() {
         for &j in graph.neighbours(i as usize) {
@@ -40,7 +46,6 @@ pub fn spread(graph: &Graph, labels: &mut [u32]) {
             }
         }
     }
-    labels.iter_mut().filter(|l| **l == UNLABELLED).for_each(|l| *l = rest);
 }
 
 /// Numbers labels from 0 in order of their first vertex.

@@ -39,7 +39,7 @@ pub fn segment(
         vec![None; mesh.positions.len()]
     };
     let edges = EdgeDistances::new(mesh, graph, &sharp, &diameter, &seen, config);
-    let min_size = (config.segment_min_share * mesh.positions.len() as f64).ceil().max(8.0) as u32;
+    let min_size = least_size(mesh.positions.len(), config);
     let mut labels = dbscan(graph, &edges.distance, &seen, config.segment_min_points as usize, min_size);
     regions::grow(graph, &edges.distance, &seen, &mut labels);
     let surface = regions::Surface { mesh, graph, features: &features, concavity: &edges.concavity };
@@ -47,4 +47,10 @@ pub fn segment(
     spread(graph, &mut labels);
     renumber(&mut labels);
     labels
+}
+
+/// Vertices that a segment must have where it has neighbours, on a mesh of so many.
+#[must_use]
+pub fn least_size(vertices: usize, config: &EstimatorConfig) -> u32 {
+    (config.segment_min_share * vertices as f64).ceil().max(8.0) as u32
 }

@@ -6,6 +6,7 @@ mod division;
 mod first_answer;
 mod gloss;
 mod hand_over;
+mod hidden;
 mod local_light;
 mod materials;
 mod model;

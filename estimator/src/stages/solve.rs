@@ -4,6 +4,7 @@ use crate::factorisation::{FactorisationOptions, factorise};
 use crate::specular::Gloss;
 use crate::stages::division::divide_segments;
 use crate::stages::gloss::{Answer, remove_gloss};
+use crate::stages::hidden::continue_hidden;
 use crate::stages::local_light::select_local_light;
 use crate::stages::materials::merge_materials;
 use crate::stages::model::{select_model, spend, trace};
@@ -62,5 +63,6 @@ pub fn materials_and_gloss(prepared: &mut Prepared, solved: Solved, run: &mut Ru
     check_distance(prepared, &answer.found, config);
     // The factor per channel that Eq. (9) leaves free (S1).
     fix_scale(prepared, &mut answer, config);
+    continue_hidden(&prepared.colors(), &mut answer.found, config);
     (answer, local_light, lit_with_gloss)
 }
